@@ -109,7 +109,7 @@ def degrade_log(
     with one_thread(), LogWriter(out, summary.profile) as target:
         for channel in summary.channels:
             if not is_result(channel):
-                target.register(channel, ids=(channel.source_id, summary.schema_ids.get(channel.source_id, 0)))
+                target.register(channel, keep_ids=True)
         unreadable = _write(job, target, progress)
         _describe(job, target)
     return [f"{text}; unreadable messages on this topic stay unchanged" for text in unreadable.values()]

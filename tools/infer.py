@@ -150,7 +150,7 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
     threads = arguments.threads or usable_cores()
     varying = _varying(job)  # before the loop: its memory is limited, so no other thread may run
     with LogWriter(out, summary.profile) as target, frame_progress("inferring", not arguments.quiet) as progress:
-        copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None), summary.schema_ids)
+        copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None))
         for channel in channels.values():
             target.register(channel)
         for item, result in _results(job, problems, threads):

@@ -1,7 +1,6 @@
 """Collects the facts of a log in one pass."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Camera
@@ -10,12 +9,12 @@ from roadperc_stream.info.scan import Scan, Tally
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result_log
 from roadperc_stream.input.topics import CAMERA_OF
-from roadperc_stream.log import Channel, Recovery, Salvage
+from roadperc_stream.log import AnyLog, Channel, Recovery, Salvage
 from roadperc_stream.schemas.record import CONVERSION_RECORD, PRODUCER, TAG_TABLE_KEY, log_id_of
 from roadperc_stream.system.time import ns_to_seconds
 
 
-def examine(path: Path, overrides: Mapping[str, str], cfg: ReplayConfig | None = None) -> LogFacts:
+def examine(source: AnyLog, overrides: Mapping[str, str], cfg: ReplayConfig | None = None) -> LogFacts:
     """Return the facts of a log, from one pass.
 
     ``overrides`` are topics by role, from ``--topic``; ``cfg`` says what the log does not.
@@ -23,7 +22,7 @@ def examine(path: Path, overrides: Mapping[str, str], cfg: ReplayConfig | None =
     Raises:
         LogError: the file cannot be opened, or is not a log. A damaged log raises no error.
     """
-    scan = Scan.of(path, overrides, cfg or ReplayConfig())
+    scan = Scan.of(source, overrides, cfg or ReplayConfig())
     salvage, tallies = scan.salvage, scan.tallies.values()
     first_ns = min((tally.first_ns for tally in tallies if tally.first_ns is not None), default=None)
     last_ns = max((tally.last_ns for tally in tallies), default=None)
@@ -31,7 +30,7 @@ def examine(path: Path, overrides: Mapping[str, str], cfg: ReplayConfig | None =
     result = is_result_log((item.name for item in described.metadata), salvage.channels.values())
     digest = scan.digest()
     return LogFacts(
-        log=str(path),
+        log=str(source),
         kind="result" if result else "input",
         log_id=None if digest is None else log_id_of(digest),
         file=_file_facts(salvage),
@@ -42,7 +41,7 @@ def examine(path: Path, overrides: Mapping[str, str], cfg: ReplayConfig | None =
         log_times_back=scan.log_times_back,
         channels=tuple(_channel_facts(salvage.channels[i], scan, first_ns) for i in sorted(salvage.channels)),
         replay=_replay_facts(scan),
-        provenance=provenance_of(path, described.metadata, described.attachments, digest) if result else None,
+        provenance=provenance_of(salvage.path, described.metadata, described.attachments, digest) if result else None,
     )
 
 
@@ -61,7 +60,6 @@ def _file_facts(salvage: Salvage) -> FileFacts:
         last_good_ns=salvage.losses.last_good_ns,
         recovery=Recovery.of_records(salvage.described.metadata),
         absent=salvage.absent,
-        notes=salvage.notes,
         attachments={item.name: len(item.data) for item in salvage.described.attachments},
         metadata=tuple(record.name for record in salvage.described.metadata),
         conversion=dict(next((r.values for r in salvage.described.metadata if r.name == CONVERSION_RECORD), ())),

@@ -181,7 +181,6 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
     if PIXEL_ORIGIN_KEY in file.conversion:
         yield f"converted with a K that counts pixels from {shown(file.conversion[PIXEL_ORIGIN_KEY])}"
     yield from _damage_lines(facts)
-    yield from (f"note: {note}" for note in file.notes)
     if file.absent:
         yield f"without {', without '.join(file.absent)}"
     if facts.log_times_back:

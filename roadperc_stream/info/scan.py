@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -158,24 +157,24 @@ class Scan:
     _digest: MessageDigest = field(default_factory=MessageDigest)
 
     @classmethod
-    def of(cls, path: Path, overrides: Mapping[str, str], cfg: ReplayConfig) -> "Scan":
+    def of(cls, source: log.AnyLog, overrides: Mapping[str, str], cfg: ReplayConfig) -> "Scan":
         """The finished scan of a log.
 
         Raises:
             LogError: the file cannot be opened, or is not a log.
         """
-        first, salvage = log.audited(path, check_chunks=True), Salvage(path)
+        first, salvage = log.audited(source), Salvage(source)
         summary = None
         if first.whole:
             with suppress(LogError):
-                summary = log.summarise(path)
+                summary = log.summarise(source)
         metadata = first.described.metadata
         channels = tuple(first.channels[number] for number in sorted(first.channels) if first.counts[number])
         named = {**recorded_topics(metadata, channels), **overrides}
         roles = roles_of(channels, named)
         assignment = replace(roles.assignment, tag_table=recorded_tag_table(metadata))
         with suppress(ConfigError):  # the record of a result is listed with its fault
-            cfg = with_recorded(cfg, first.described.attachments, path)
+            cfg = with_recorded(cfg, first.described.attachments, first.path)
         scan = cls(salvage, replace(roles, assignment=assignment), summary, cfg)
         scan.evidence = InputEvidence(cfg.labels, scan._count(first, "segmentation"))
         scan._run()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.log import Damage, DamagedLogError, LogSummary, LostSpan, Recovery, RepairedLog
+from roadperc_stream.log import Damage, DamagedLogError, LogFile, LogSummary, LostSpan, Recovery, RepairedLog
 from roadperc_stream.model import Reason
 from roadperc_stream.system.time import WHOLE, TimeRange, ns_to_seconds
 
@@ -87,19 +87,19 @@ class ReadableLog:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the damaged files."""
-        found = ((copy.path, copy.salvage.damages, copy.recovery) for copy in self.damaged)
+        found = ((copy.file.name, copy.salvage.damages, copy.recovery) for copy in self.damaged)
         return tuple(text for facts in found for text in warnings_of(*facts, self.first_ns))
 
 
-def _repaired(path: Path, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
+def _repaired(file: LogFile, limits: LimitsConfig, error: DamagedLogError) -> RepairedLog | None:
     """Return the repaired copy of a file; None if it is whole. ``error`` names the first damaged file."""
-    is_whole = path != error.path and log.audited(path, limits, check_chunks=True).whole
-    return None if is_whole else log.repaired_copy(path, limits)
+    is_whole = file.name != error.path and log.audited(file, limits).whole
+    return None if is_whole else log.repaired_copy(file, limits)
 
 
 def _in_log(copy: RepairedLog, files: Sequence[LogSummary]) -> RepairedLog:
     """Return a repaired file whose losses end where later files continue."""
-    own = next((file for file in files if file.path == copy.path), None)
+    own = next((file for file in files if file.path == copy.file.name), None)
     return copy if own is None else replace(copy, recovery=copy.recovery.ending(log.gone_on_ns(own, files)))
 
 
@@ -142,12 +142,12 @@ class ReplaySource:
         sources = log.received(self.files)
         despite_damage = self.recover or self.time_range != WHOLE
         try:
-            return ReadableLog(log.summarise(sources, limits, check_chunks=despite_damage))
+            return ReadableLog(log.summarise(sources, limits))
         except DamagedLogError as error:
             if not despite_damage:
                 raise
-            copies = [_repaired(path, limits, error) for path in sources]
-            files = [copy.path if copy else path for copy, path in zip(copies, sources, strict=True)]
+            copies = [_repaired(file, limits, error) for file in sources]
+            files = [copy.file if copy else file for copy, file in zip(copies, sources, strict=True)]
             summary = log.summarise(files, limits)
             damaged = tuple(_in_log(copy, summary.files) for copy in copies if copy is not None)
             firsts = (summary.first_ns, *(copy.salvage.first_ns for copy in damaged))

@@ -23,4 +23,5 @@ from roadperc_stream.log.records import (
 from roadperc_stream.log.recovery import Salvage, audited
 from roadperc_stream.log.repair import Recovery, RepairedLog, repaired_copy, write_repaired
 from roadperc_stream.log.sorting import in_order_within
+from roadperc_stream.log.stored import AnyLog, LogFile
 from roadperc_stream.log.writing import LogWriter, MessageCopy

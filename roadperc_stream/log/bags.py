@@ -24,7 +24,7 @@ from roadperc_stream.log.damage import BAGS, ZSTD, unopened
 from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.recovery import Salvage
-from roadperc_stream.log.stored import Spool, StoredLog, received_files, storing
+from roadperc_stream.log.stored import LogFile, fill, received_files, storing
 from roadperc_stream.log.writing import StoredLogWriter
 from roadperc_stream.system.files import BAG_METADATA, is_bag_folder, read_file
 
@@ -32,7 +32,6 @@ _SQLITE, _ROS1 = BAGS
 _PACKED: Final = re.compile(rb"compression_mode:\s*['\"]?message", re.IGNORECASE)
 _DEFINITIONS: Final = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
 _QOS: Final = "offered_qos_profiles"
-_BLOCK_BYTES: Final = 1024 * 1024
 _MOST_METADATA_BYTES: Final = 10_000_000
 Contents = Iterator[Channel | Message]
 """The channels of a file, then its messages in file order."""
@@ -56,7 +55,7 @@ def is_log(path: Path) -> bool:
     return False
 
 
-def received(paths: Sequence[Path]) -> tuple[Path, ...]:
+def received(paths: Sequence[Path]) -> tuple[LogFile, ...]:
     """Return logs as ``received_files``; a bag's folder gives all its files, and other formats are copied to MCAP.
 
     Raises:
@@ -66,7 +65,7 @@ def received(paths: Sequence[Path]) -> tuple[Path, ...]:
     return tuple(map(_as_mcap, received_files([file for path in paths for file in _files_of(path)])))
 
 
-def received_file(path: Path) -> Path:
+def received_file(path: Path) -> LogFile:
     """Return a log in one file; arguments and errors as in ``received``."""
     files = received([path])
     if len(files) > 1:
@@ -100,32 +99,29 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _as_mcap(path: Path) -> Path:
+def _as_mcap(file: LogFile) -> LogFile:
     """Return a bag's file as MCAP; files that are neither MCAP nor of a bag are returned as they are."""
+    name = file.name
     try:
-        if isinstance(path, StoredLog) or not path.is_file():
-            return path
-        with path.open("rb") as stream:
+        if file.path != name or not name.is_file():
+            return file
+        with name.open("rb") as stream:
             if stream.read(len(ZSTD)) != ZSTD:
-                return _copied(path, path)
+                return _copied(file)
             stream.seek(0)
-            with storing(str(path)):
-                plain = NamedTemporaryFile()  # noqa: SIM115 - the spool closes it
-            spool = Spool(str(path), plain)
-            reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
-            while block := reader.read(_BLOCK_BYTES):
-                spool.append(block)
-        spool.finish()
-        found = _copied(path, Path(plain.name))
-        return found if isinstance(found, StoredLog) else StoredLog.of(path, spool)
+            with storing(str(name)):
+                plain = NamedTemporaryFile()  # noqa: SIM115 - the log owns it
+            fill(plain, name, zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True))
+        return _copied(LogFile.temporary(name, plain, Path(plain.name)))  # SQLite needs a file with a name
     except OSError as error:
-        raise unopened(path, error) from error
+        raise unopened(name, error) from error
     except zstandard.ZstdError as error:
-        raise LogError(f"{path}: {error}; find the damage with: zstd --test {quote(str(path))}") from error
+        raise LogError(f"{name}: {error}; find the damage with: zstd --test {quote(str(name))}") from error
 
 
-def _copied(name: Path, place: Path) -> Path:
-    """Return a copy in MCAP under a name, or ``place`` if its file needs none."""
+def _copied(file: LogFile) -> LogFile:
+    """Return a copy of a bag's file in MCAP, or the file itself if it needs none."""
+    name, place = file.name, file.path
     with place.open("rb") as stream:
         start = stream.read(len(MAGIC))
     described = name.parent / BAG_METADATA
@@ -137,14 +133,14 @@ def _copied(name: Path, place: Path) -> Path:
         contents = import_module("roadperc_stream.log.ros1").contents_of_ros1(place)  # on use: it imports rosbags
         return _copy(name, "rosbag (ROS 1)", contents, f"rosbag reindex {quote(str(name))}")
     if start.startswith(MAGIC) and described.is_file() and _PACKED.search(read_file(described, _MOST_METADATA_BYTES)):
-        return _copy(name, "rosbag2 (compressed messages)", _of_mcap(place), f"roadperc-info {quote(str(name))}")
-    return place
+        return _copy(name, "rosbag2 (compressed messages)", _of_mcap(file), f"roadperc-info {quote(str(name))}")
+    return file
 
 
-def _copy(name: Path, writer: str, contents: Contents, repair: str) -> StoredLog:
+def _copy(name: Path, writer: str, contents: Contents, repair: str) -> LogFile:
     """Return a copy in MCAP, cut where an error occurs; ``repair`` is a command for an unreadable bag."""
     with storing(str(name)):
-        file = TemporaryFile()  # noqa: SIM115 - the spool closes it
+        file = TemporaryFile()  # noqa: SIM115 - the log owns it
     log, fault = StoredLogWriter(name, "ros2", f"{writer}, read as MCAP", file=file), ""
     try:
         with log, ExitStack() as ending:
@@ -161,7 +157,7 @@ def _copy(name: Path, writer: str, contents: Contents, repair: str) -> StoredLog
         if not log.messages:
             file.close()
             raise LogError(f"{name}: {fault}; repair it with: {repair}") from error
-    return StoredLog.of(name, Spool(str(name), file), fault)
+    return LogFile.temporary(name, file, fault=fault)
 
 
 def _plain(message: Message) -> Message:
@@ -174,8 +170,8 @@ def _plain(message: Message) -> Message:
         raise ValueError(f"{message.channel.topic}: message at {message.log_time_ns} ns: {error}") from error
 
 
-def _of_mcap(place: Path) -> Contents:
-    salvage = Salvage(place)
+def _of_mcap(file: LogFile) -> Contents:
+    salvage = Salvage(file)
     yield from salvage.messages()
     if not salvage.whole:
         raise ValueError(salvage.damages[0].words)

@@ -1,6 +1,5 @@
-"""Decompresses chunks and reads their records, up to the first fault.
+"""Decompresses chunks and reads their records, never beyond the size that they declare.
 
-A cut or damaged chunk is decompressed piece by piece up to the fault, and never beyond the size that it declares.
 Format: https://mcap.dev/spec.
 """
 
@@ -15,45 +14,44 @@ from deflate import crc32
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError
 
-from roadperc_stream.log.layout import NAMES, RECORD, TOO_SHORT, ChunkHead, Record, records_in
+from roadperc_stream.log.layout import (
+    MESSAGE,
+    NAMES,
+    RECORD,
+    TOO_SHORT,
+    UNREADABLE,
+    ChunkHead,
+    Record,
+    fault_of,
+    require_crc,
+)
 
 INSIDE: Final = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
-_PIECE_BYTES: Final = 1024 * 1024
+_BUFFER_BYTES: Final = 64 * 1024
 _STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
     "": lambda head: BytesIO(head.stored),
-    "zstd": lambda head: BufferedReader(ZstdDecompressor().stream_reader(head.stored, read_across_frames=True)),
+    "zstd": lambda head: BufferedReader(
+        ZstdDecompressor().stream_reader(head.stored, read_across_frames=True), _BUFFER_BYTES
+    ),
     "lz4": lambda head: lz4.frame.LZ4FrameFile(BytesIO(head.stored)),
 }
 """Streams over a chunk's decompressed data, by compression. They read all frames."""
 
 
-def contents_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
-    """Return a chunk's records up to the first fault, at most ``most``, and the fault; empty without one.
-
-    If the CRC of complete data is wrong, no record is returned, because any of them may be wrong.
-    """
-    data, broken = _decompressed(head)
-    is_whole = len(data) == head.size_bytes
-    if head.stored_bytes > len(head.stored) and not is_whole:
-        broken = TOO_SHORT
-    if head.crc and (is_whole or not broken) and (crc := crc32(data)) != head.crc:
-        return [], _wrong_crc(crc, head.crc)
-    found, fault = _split(data, most)
-    expected = "" if is_whole else f"holds {len(data)} bytes, expected {head.size_bytes}"
-    return found, broken or fault or expected
-
-
 def streamed(head: ChunkHead) -> Iterator[Record]:
-    """Yield the records of a checked chunk, one in memory at a time.
+    """Yield the records of a chunk, one in memory at a time.
 
     Raises:
         ValueError: it ends early, or its CRC is wrong; the CRC is checked behind the last record.
+        RuntimeError, EOFError, ZstdError: it cannot be decompressed.
     """
     stream, at, crc = _STREAMS[head.compression](head), 0, 0
 
     def taken(length: int) -> bytes:
         nonlocal at, crc
-        data: bytes = stream.read(min(length, head.size_bytes - at))
+        if length > head.size_bytes - at:
+            raise ValueError(_too_long(head))
+        data: bytes = stream.read(length)
         if len(data) < length:
             raise ValueError(TOO_SHORT)
         at, crc = at + length, crc32(data, crc)
@@ -65,8 +63,24 @@ def streamed(head: ChunkHead) -> Iterator[Record]:
         yield Record(start, opcode, taken(length))
     if stream.read(1):
         raise ValueError(_too_long(head))
-    if head.crc and crc != head.crc:
-        raise ValueError(_wrong_crc(crc, head.crc))
+    require_crc("chunk", crc, head.crc)
+
+
+def outline_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
+    """Return a chunk's records up to the first fault, of messages only the fields, and the fault; empty without one."""
+    found: list[Record] = []
+    try:
+        for record in streamed(head):
+            if record.opcode in INSIDE:
+                if len(found) == most:
+                    return found, too_many(most)
+                is_message = record.opcode == Opcode.MESSAGE
+                found.append(record._replace(body=record.body[: MESSAGE.size]) if is_message else record)
+            elif record.opcode in NAMES:
+                return found, f"{record.name} record at its byte {record.start}, expected schema, channel or message"
+    except UNREADABLE as error:
+        return found, fault_of(error)
+    return found, ""
 
 
 @dataclass(frozen=True)
@@ -78,18 +92,18 @@ class Unpacked:
     """Whether the data is one frame of the declared size: many readers only read the first frame."""
 
 
-def unpacked(head: ChunkHead, *, check_crc: bool) -> Unpacked:
+def unpacked(head: ChunkHead) -> Unpacked:
     """Decompress a chunk whose size was checked with ``limits.require_chunk``, in one step if possible.
 
     Raises:
-        ValueError: the data is not valid, or its CRC is to be checked and is wrong.
+        ValueError: the data is not valid, or its CRC is wrong.
+        RuntimeError, EOFError, ZstdError: it cannot be decompressed.
     """
     at_once = _at_once(head)
-    data, fault = _decompressed(head) if at_once is None else (at_once, "")
-    if fault:
-        raise ValueError(fault)
-    if check_crc and head.crc and (crc := crc32(data)) != head.crc:
-        raise ValueError(_wrong_crc(crc, head.crc))
+    data = memoryview(_STREAMS[head.compression](head).read(head.size_bytes + 1)) if at_once is None else at_once
+    if len(data) != head.size_bytes:
+        raise ValueError(_too_long(head) if len(data) > head.size_bytes else TOO_SHORT)
+    require_crc("chunk", crc32(data), head.crc)
     return Unpacked(data, at_once is not None)
 
 
@@ -116,42 +130,5 @@ def _at_once(head: ChunkHead) -> memoryview | None:
     return memoryview(data) if len(data) == head.size_bytes else None
 
 
-def _decompressed(head: ChunkHead) -> tuple[memoryview, str]:
-    """Return a chunk's data, at most the declared size, and why it is incomplete; empty if it is complete."""
-    if not head.compression:
-        return head.stored, ""
-    stream, data, fault = _STREAMS[head.compression](head), bytearray(), ""
-    try:
-        while piece := stream.read1(_PIECE_BYTES):
-            data += piece
-            if len(data) > head.size_bytes:
-                return memoryview(data)[: head.size_bytes], _too_long(head)
-    except EOFError:
-        fault = TOO_SHORT
-    except (ZstdError, RuntimeError) as error:
-        fault = " ".join(str(error).split())
-    return memoryview(data), fault
-
-
 def _too_long(head: ChunkHead) -> str:
     return f"holds more than the declared {head.size_bytes} bytes"
-
-
-def _wrong_crc(found: int, expected: int) -> str:
-    return f"crc is {found:#010x}, expected {expected:#010x}"
-
-
-def _split(data: memoryview, most: int) -> tuple[list[Record], str]:
-    """Return the records in a chunk's data, at most ``most``, and why they end early."""
-    found: list[Record] = []
-    try:
-        for record in records_in(data):
-            if len(found) == most:
-                return found, too_many(most)
-            if record.opcode in NAMES and record.opcode not in INSIDE:
-                kind = f"a record with opcode {record.opcode:#04x} at its byte {record.start}"
-                return found, f"{kind}, expected schema, channel or message"
-            found.append(record)
-    except ValueError as error:
-        return found, str(error)
-    return found, ""

@@ -1,8 +1,9 @@
 """Damages of a log, and the errors for logs that are damaged or are not MCAP."""
 
 import shlex
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -149,3 +150,67 @@ class DamagedLogError(LogError):
 def nothing_saved(path: Path, damages: Sequence[Damage]) -> LogError:
     """Return the error for a log of which no message can be read."""
     return damaged(path, f"{first_damage(damages)}; no message can be saved" if damages else "holds no message")
+
+
+ANY_TIME: Final = LostSpan(None, None)
+_MOST_LISTED: Final = 1000
+"""Damages that are listed individually."""
+
+
+@dataclass
+class Losses:
+    """The messages read and the damages found until now. A loss without a known end ends at the next message."""
+
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages by channel."""
+    first_ns: int | None = None
+    last_ns: int | None = None
+    damages: list[Damage] = field(default_factory=list)
+    """In file order."""
+    last_good_ns: int | None = None
+    """Log time of the last message before the first damage."""
+    _behind_ns: int = -1
+    """Largest step back of log time from an earlier message to a later one; -1 if log times strictly ascend."""
+    _open_from: int = _MOST_LISTED
+    """Number of the first damage whose end is not known."""
+
+    @property
+    def unread(self) -> LostSpan:
+        """The times of messages that are lost before the next one is read."""
+        return LostSpan(None if self.last_ns is None else self.last_ns - self._behind_ns, None)
+
+    @property
+    def gaps(self) -> tuple[LostSpan, ...]:
+        """The log times at which messages are lost, in file order."""
+        return tuple(dict.fromkeys(damage.span for damage in self.damages if damage.span and damage.is_loss))
+
+    def count(self, channel_id: int, log_time_ns: int) -> None:
+        """Count a message; it ends the losses before it."""
+        self.counts[channel_id] += 1
+        latest_ns = log_time_ns if self.last_ns is None else self.last_ns
+        self.first_ns = log_time_ns if self.first_ns is None else min(self.first_ns, log_time_ns)
+        if self.last_ns is not None:
+            self._behind_ns = max(self._behind_ns, latest_ns - log_time_ns)
+        self.last_ns = max(latest_ns, log_time_ns)
+        if not self.damages:
+            self.last_good_ns = log_time_ns
+        if self._open_from < _MOST_LISTED:
+            self._end(log_time_ns + self._behind_ns)
+
+    def note(self, byte: int, words: str, span: LostSpan | None = None, *, is_loss: bool = False) -> None:
+        """Add a damage; the last listed one also stands for all later ones."""
+        damage = Damage(byte, words, span, is_loss)
+        if len(self.damages) == _MOST_LISTED:
+            self.damages[-1] = self.damages[-1].with_more(damage)
+        else:
+            self.damages.append(damage)
+        if span is not None and span.last_ns is None:
+            self._open_from = min(self._open_from, len(self.damages) - 1)
+
+    def _end(self, last_ns: int) -> None:
+        for number in range(self._open_from, len(self.damages)):
+            damage = self.damages[number]
+            if damage.span is not None and damage.span.last_ns is None:
+                span = LostSpan(damage.span.first_ns, max(last_ns, damage.span.first_ns or 0))
+                self.damages[number] = replace(damage, span=span)
+        self._open_from = _MOST_LISTED

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -16,9 +15,10 @@ from roadperc_stream.log.layout import MAGIC, RECORD, UNREADABLE, Record, chunk_
 from roadperc_stream.log.limits import GuardedFile, LimitError
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.recovery import Salvage, damage_in
+from roadperc_stream.log.stored import LogFile
 
 
-def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
+def in_file_order(file: LogFile, limits: LimitsConfig) -> Iterator[Message]:
     """Yield the messages of a checked file in its order, one message of a chunk in memory at a time.
 
     Every chunk's CRC is checked.
@@ -27,7 +27,7 @@ def in_file_order(path: Path, limits: LimitsConfig) -> Iterator[Message]:
         LogError: as ``opened``.
     """
     described = Described()
-    with opened(path, limits) as stream:
+    with opened(file, limits) as stream:
         for record in _records(stream):
             for item in streamed(chunk_head(record.body)) if record.opcode == Opcode.CHUNK else (record,):
                 if item.opcode == Opcode.MESSAGE:
@@ -50,20 +50,20 @@ def _records(stream: GuardedFile) -> Iterator[Record]:
 
 
 @contextmanager
-def opened(path: Path, limits: LimitsConfig) -> Iterator[GuardedFile]:
+def opened(file: LogFile, limits: LimitsConfig) -> Iterator[GuardedFile]:
     """Open a log.
 
     Raises:
         LogError: the file cannot be read, is not MCAP, is cut, damaged or beyond the limits.
     """
     try:
-        with GuardedFile(path, limits) as stream:
+        with GuardedFile(file, limits) as stream:
             yield stream
     except OSError as error:
-        raise unopened(path, error) from error
+        raise unopened(file.name, error) from error
     except LimitError as error:
-        raise LogError(f"{path}: {error}") from error
+        raise LogError(f"{file}: {error}") from error
     except UNREADABLE as error:
-        found = Salvage(path, limits=limits).run()
+        found = Salvage(file, limits=limits).run()
         fault = f"damaged MCAP: {str(error) or type(error).__name__}"
-        raise (damaged(path, fault) if found.whole else damage_in(found)) from error
+        raise (damaged(file.name, fault) if found.whole else damage_in(found)) from error

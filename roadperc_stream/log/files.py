@@ -2,156 +2,99 @@
 
 A message in several files counts once: recorders repeat some messages at the start of a file, and files are copied.
 Messages are equal if topic, schema, times, sequence and bytes are equal. If one file has a message several times, the
-log also does. Only topics and times that files share are compared, with digests of the current log time.
+log also does. Only messages of a log time that several files have are compared, by digests.
 """
 
 import heapq
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from hashlib import blake2b
-from itertools import chain, pairwise
+from itertools import chain, count, pairwise
 from pathlib import Path
 
-from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.damage import damaged
-from roadperc_stream.log.file_order import in_file_order
-from roadperc_stream.log.index import MOST_HELD_BYTES
 from roadperc_stream.log.records import RECOVERY_RECORD, Attachment, Channel, LogSummary, Message, Metadata
 from roadperc_stream.log.repair import Recovery
-from roadperc_stream.log.sorting import SortedMessages
 
 Translation = Mapping[int, Channel]
 """The channels of the log, by their ``source_id`` in a file."""
-File = tuple[LogSummary, Translation]
-"""A file with messages, and its channels."""
 Span = tuple[int, int]
 """First and last log time, both included."""
-Numbered = tuple[int, Message]
-"""The number of a file, and a message in it."""
 
 
 @dataclass(frozen=True)
-class MergedFiles:
-    """Merges the messages of files, sorted by their first log time."""
+class UnitedFiles:
+    """Reads the messages of files; a message in several of them is yielded once."""
 
-    files: Sequence[File]
+    files: Sequence[tuple[LogSummary, Translation]]
+    """The files with messages, sorted by their first log times, and their channels."""
+    in_turn: Sequence[LogSummary] = ()
+    """The files, if they can be read one after the other: the log's channel ids, and no common times."""
 
-    def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
+    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
         """Yield messages as ``reading.read``; among equal log times those of the earlier file come first."""
+        return (message for _, message, is_repeated in self._marked(topics, start_ns, end_ns) if not is_repeated)
 
-        def opened(number: int) -> Iterator[Message]:
-            summary, translation = self.files[number]
-            return _translated(summary.path, summary.source.messages(topics, start_ns, end_ns), translation)
+    def repeats(self) -> Counter[tuple[int, int]]:
+        """Count the messages that earlier files have too, by number of the file and channel of the log.
 
-        waiting = [i for i, (summary, _) in enumerate(self.files) if _may_hold(summary, topics, start_ns, end_ns)]
-        waiting.reverse()
+        Raises:
+            LogError: a file is damaged.
+            TargetError: there is no space to sort the messages.
+        """
+        topics, counts = self._common_topics(), Counter[tuple[int, int]]()
+        for first_ns, last_ns in _overlaps(_span_ns(file) for file, _ in self.files) if topics else ():
+            found = self._marked(topics, first_ns, last_ns + 1)
+            counts.update((number, m.channel.source_id) for number, m, is_repeated in found if is_repeated)
+        return counts
+
+    def _common_topics(self) -> frozenset[str]:
+        """Return the topics that several files have."""
+        files = Counter(chain.from_iterable(counted_topics(file) for file, _ in self.files))
+        return frozenset(topic for topic, number in files.items() if number > 1)
+
+    def _marked(
+        self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+    ) -> Iterator[tuple[int, Message, bool]]:
+        """Yield each message with the number of its file, and whether an earlier file has it too."""
+        coming = [i for i, (file, _) in enumerate(self.files) if _may_hold(file, topics, start_ns, end_ns)]
+        coming.reverse()
+        common = self._common_topics()
         heap: list[tuple[int, int, Message, Iterator[Message]]] = []  # by log time, then by file
-        while waiting or heap:
-            if waiting and (not heap or (self.files[waiting[-1]][0].first_ns or 0) < heap[0][0]):
-                number = waiting.pop()
-                rest = opened(number)
+        known, in_file = Counter[bytes](), Counter[bytes]()  # messages of this log time, in all files and in this one
+        now = -1, -1
+        while coming or heap:
+            if coming and (not heap or (self.files[coming[-1]][0].first_ns or 0) <= heap[0][0]):
+                number = coming.pop()
+                file, translation = self.files[number]
+                rest = _translated(file.path, file.source.messages(topics, start_ns, end_ns), translation)
             else:
-                _, number, message, rest = heapq.heappop(heap)
-                yield number, message
+                time_ns, number, message, rest = heapq.heappop(heap)
+                if time_ns != now[0]:
+                    known.clear()
+                if now != (time_ns, number):
+                    in_file.clear()
+                now, is_repeated = (time_ns, number), False
+                if message.channel.topic in common and (known or (heap and heap[0][0] == time_ns)):
+                    digest = _digest(message)
+                    in_file[digest] += 1
+                    is_repeated = in_file[digest] <= known[digest]
+                    known[digest] += not is_repeated
+                yield number, message, is_repeated
             if (following := next(rest, None)) is not None:
                 heapq.heappush(heap, (following.log_time_ns, number, following, rest))
 
 
-class SortedFiles:
-    """Reads files one after the other and sorts their messages on disk.
-
-    Args:
-        name: the log, for errors.
-        files: sorted by their first log time.
-        limits: of their records and chunks.
-    """
-
-    def __init__(self, name: str, files: Sequence[File], limits: LimitsConfig) -> None:
-        self._origins = [(number, channel) for number, (_, known) in enumerate(files) for channel in known.values()]
-        ids = iter(range(len(self._origins)))
-        distinct = [(file, {i: replace(known[i], source_id=next(ids)) for i in known}) for file, known in files]
-        self._sorted = SortedMessages(name, partial(_in_file_order, distinct, limits))
-
-    def numbered(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Numbered]:
-        """Yield messages as ``MergedFiles.numbered``.
-
-        Raises:
-            TargetError: there is no space to sort them.
-        """
-        for message in self._sorted.messages(topics, start_ns, end_ns):
-            number, channel = self._origins[message.channel.source_id]
-            yield number, replace(message, channel=channel)
-
-
-@dataclass(frozen=True)
-class SharedTimes:
-    """The times at which several files have messages on one topic: disjoint ascending spans, by topic."""
-
-    spans: Mapping[str, Sequence[Span]]
-
-    @classmethod
-    def of(cls, files: Iterable[LogSummary]) -> "SharedTimes":
-        """Return the times that files share; the files are sorted by their first log times."""
-        spans: dict[str, list[Span]] = {}
-        for file in files:
-            for topic in counted_topics(file):
-                spans.setdefault(topic, []).append((file.first_ns or 0, file.last_ns or 0))
-        found = {topic: _disjoint(_overlaps(of_topic)) for topic, of_topic in spans.items()}
-        return cls({topic: overlaps for topic, overlaps in found.items() if overlaps})
-
-    def hold(self, message: Message) -> bool:
-        """Return whether another file may hold an equal message."""
-        spans = self.spans.get(message.channel.topic, ())
-        place = bisect_right(spans, message.log_time_ns, key=lambda span: span[0]) - 1
-        return place >= 0 and message.log_time_ns <= spans[place][1]
-
-    @property
-    def all_spans(self) -> list[Span]:
-        """The spans of any topic, disjoint and ascending."""
-        return _disjoint(sorted(span for spans in self.spans.values() for span in spans))
-
-    def marked(self, messages: Iterable[Numbered]) -> Iterator[tuple[int, Message, bool]]:
-        """Yield each message with the number of its file, and whether an earlier file holds it too.
-
-        ``messages`` are sorted by log time; those of equal time are sorted by file.
-        """
-        now: tuple[int, int] | None = None  # log time and file of the last message that was compared
-        found, in_file = Counter[bytes](), Counter[bytes]()
-        for number, message in messages:
-            is_repeated = False
-            if self.hold(message):
-                if now is None or now[0] != message.log_time_ns:
-                    found.clear()
-                if now != (message.log_time_ns, number):
-                    in_file.clear()
-                now, digest = (message.log_time_ns, number), _digest(message)
-                in_file[digest] += 1
-                is_repeated = in_file[digest] <= found[digest]
-                found[digest] += not is_repeated
-            yield number, message, is_repeated
-
-
-def _overlaps(spans: Iterable[Span]) -> Iterator[Span]:
-    """Yield where a span overlaps earlier ones; the spans are sorted by their first times."""
-    latest_ns = -1
-    for first_ns, last_ns in spans:
-        if first_ns <= latest_ns:
-            yield first_ns, min(last_ns, latest_ns)
+def _overlaps(spans: Iterable[Span | None]) -> Iterator[Span]:
+    """Yield where spans, sorted by their first times, overlap earlier ones: disjoint and ascending."""
+    latest_ns = reached_ns = -1
+    for first_ns, last_ns in filter(None, spans):
+        begin_ns, end_ns = max(first_ns, reached_ns + 1), min(last_ns, latest_ns)
+        if begin_ns <= end_ns:
+            yield begin_ns, end_ns
+            reached_ns = end_ns
         latest_ns = max(latest_ns, last_ns)
-
-
-def _disjoint(spans: Iterable[Span]) -> list[Span]:
-    """Return sorted spans with overlapping ones joined."""
-    joined: list[Span] = []
-    for first_ns, last_ns in spans:
-        if joined and first_ns <= joined[-1][1]:
-            joined[-1] = joined[-1][0], max(joined[-1][1], last_ns)
-        else:
-            joined.append((first_ns, last_ns))
-    return joined
 
 
 def _digest(message: Message) -> bytes:
@@ -160,34 +103,6 @@ def _digest(message: Message) -> bytes:
     found = blake2b(f"{kind}\0{message.publish_time_ns}\0{message.sequence}\0".encode(), digest_size=16)
     found.update(message.data)
     return found.digest()
-
-
-@dataclass(frozen=True)
-class UnitedFiles:
-    """Reads the messages of several files; a message in several of them is yielded once."""
-
-    files: MergedFiles | SortedFiles
-    shared: SharedTimes
-    in_turn: Sequence[LogSummary] = ()
-    """The files, if they can be read one after the other: the log's channel ids, and no shared times."""
-
-    def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
-        """Yield messages as ``reading.read``."""
-        found = self.shared.marked(self.files.numbered(topics, start_ns, end_ns))
-        return (message for _, message, is_repeated in found if not is_repeated)
-
-    def repeats(self) -> Counter[tuple[int, int]]:
-        """Count the messages that earlier files hold too, by number of the file and channel of the log.
-
-        Raises:
-            LogError: a file is damaged.
-            TargetError: there is no space to sort the messages.
-        """
-        counts = Counter[tuple[int, int]]()
-        for first_ns, last_ns in self.shared.all_spans:
-            found = self.shared.marked(self.files.numbered(set(self.shared.spans), first_ns, last_ns + 1))
-            counts.update((number, m.channel.source_id) for number, m, is_repeated in found if is_repeated)
-        return counts
 
 
 def _may_hold(summary: LogSummary, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> bool:
@@ -209,11 +124,8 @@ def _translated(path: Path, messages: Iterable[Message], translation: Translatio
         yield replace(message, channel=channel)
 
 
-def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig) -> LogSummary:
-    """Return files as one log, in the order of their times; equal channels of several files become one.
-
-    ``held_bytes`` is the most memory that merging takes.
-    """
+def united(files: Sequence[LogSummary]) -> LogSummary:
+    """Return files as one log, in the order of their times; equal channels of several files become one."""
     ordered = sorted(files, key=lambda file: _span_ns(file) or (0, 0))
     attachments = dict[tuple[str, str, bytes], Attachment]()
     for attachment in chain.from_iterable(file.attachments for file in ordered):
@@ -221,32 +133,26 @@ def united(files: Sequence[LogSummary], held_bytes: float, limits: LimitsConfig)
     metadata = dict.fromkeys(chain.from_iterable(_with_ends(file, ordered) for file in ordered))
     ordered = [replace(file, attachments=(), metadata=()) for file in ordered]
     translations = _translations(ordered)
-    if has_own_ids := _ids_agree(ordered, translations):
-        translations = [{i: replace(known[i], source_id=i) for i in known} for known in translations]
     holding = [(file, known) for file, known in zip(ordered, translations, strict=True) if _span_ns(file)]
     spans = [span for file, _ in holding if (span := _span_ns(file))]
-    name = Path(f"{ordered[0].path} and {len(files) - 1} more")
-    shared = SharedTimes.of(file for file, _ in holding)
-    is_in_turn = has_own_ids and not shared.spans and all(a[1] <= b[0] for a, b in pairwise(spans))
-    is_little = held_bytes <= MOST_HELD_BYTES
-    combined = MergedFiles(holding) if is_little else SortedFiles(str(name), holding, limits)
-    source = UnitedFiles(combined, shared, [file for file, _ in holding] if is_in_turn else [])
+    is_in_turn = _ids_agree(ordered, translations) and all(a[1] < b[0] for a, b in pairwise(spans))
+    source = UnitedFiles(holding, [file for file, _ in holding] if is_in_turn else [])
+    channels = dict.fromkeys(channel for known in translations for channel in known.values())
     repeats = source.repeats()
     repeats_of = Counter[Path]()
-    for (number, _), count in repeats.items():
-        repeats_of[holding[number][0].path] += count
+    for (number, _), repeated in repeats.items():
+        repeats_of[holding[number][0].path] += repeated
     return LogSummary(
-        path=name,
+        path=Path(f"{ordered[0].path} and {len(files) - 1} more"),
         source=source,
         profile=next((file.profile for file in ordered if file.profile), ""),
-        channels=tuple(dict.fromkeys(channel for known in translations for channel in known.values())),
+        channels=tuple(channel if is_in_turn else replace(channel, schema_id=0) for channel in channels),
         counts=_counts(ordered, translations, repeats),
         attachments=tuple(attachments.values()),
         metadata=tuple(metadata),
         first_ns=min((first for first, _ in spans), default=None),
         last_ns=max((last for _, last in spans), default=None),
         files=tuple(replace(file, repeats=repeats_of[file.path]) for file in ordered),
-        schema_ids=dict(chain.from_iterable(file.schema_ids.items() for file in ordered if is_in_turn)),
     )
 
 
@@ -281,29 +187,35 @@ def _with_ends(summary: LogSummary, files: Iterable[LogSummary]) -> Iterator[Met
         yield recovery.ending(gone_on_ns(summary, files)).to_record()
 
 
-def _translations(summaries: Sequence[LogSummary]) -> list[Translation]:
-    """Return the channels of each file: equal channels of several files become one, those of one file stay separate."""
+def _translations(summaries: Iterable[LogSummary]) -> list[Translation]:
+    """Return the channels of each file: equal channels of several files become one, those of one file stay separate.
+
+    A channel keeps its id if no earlier one has it.
+    """
     known: dict[tuple[Channel, int], Channel] = {}
+    used: set[int] = set()
     made: list[Translation] = []
     for summary in summaries:
         twins, translation = Counter[Channel](), dict[int, Channel]()
         for channel in summary.channels:
             kind = replace(channel, source_id=0)
-            translation[channel.source_id] = known.setdefault(
-                (kind, twins[kind]), replace(kind, source_id=len(known) + 1)
-            )
+            key = kind, twins[kind]
+            if key not in known:
+                number = next(i for i in chain((channel.source_id,), count(1)) if i not in used)
+                used.add(number)
+                known[key] = replace(channel, source_id=number)
+            translation[channel.source_id] = known[key]
             twins[kind] += 1
         made.append(translation)
     return made
 
 
 def _ids_agree(summaries: Sequence[LogSummary], translations: Iterable[Translation]) -> bool:
-    """Return whether an id means the same channel or schema in all files, and each channel has one id."""
-    channels = {(number, common.source_id) for known in translations for number, common in known.items()}
-    schemas = {(s.schema_ids[c.source_id], *c.schema) for s in summaries for c in s.channels if s.schema_ids}
-    own = {(number, schema_id) for summary in summaries for number, schema_id in summary.schema_ids.items()}
-    one_channel = len({number for number, _ in channels}) == len({common for _, common in channels}) == len(channels)
-    return one_channel and all(len({pair[0] for pair in pairs}) == len(pairs) for pairs in (schemas, own))
+    """Return whether the channels and schemas of all files have the ids of the log."""
+    pairs = [(c, known[c.source_id]) for s, known in zip(summaries, translations, strict=True) for c in s.channels]
+    schemas = {(channel.schema_id, *channel.schema) for channel, _ in pairs}
+    have_ids = all((own.source_id, own.schema_id) == (common.source_id, common.schema_id) for own, common in pairs)
+    return have_ids and len({schema_id for schema_id, *_ in schemas}) == len(schemas)
 
 
 def _counts(
@@ -323,8 +235,3 @@ def _span_ns(file: LogSummary) -> Span | None:
     if file.first_ns is None or file.last_ns is None or not any(file.counts.values()):
         return None
     return file.first_ns, file.last_ns
-
-
-def _in_file_order(files: Iterable[File], limits: LimitsConfig) -> Iterator[Message]:
-    for file, translation in files:
-        yield from _translated(file.path, in_file_order(file.path, limits), translation)

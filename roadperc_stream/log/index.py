@@ -21,6 +21,7 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.log.layout import MAGIC, UNREADABLE
 from roadperc_stream.log.limits import GuardedFile
 from roadperc_stream.log.records import Attachment, Channel, Metadata
+from roadperc_stream.log.stored import LogFile
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Most memory for messages while a log is put in order by its index; beyond, it is sorted on disk."""
@@ -66,7 +67,7 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     """Return a channel with its schema, independent of the mcap library."""
     described = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
     labels = tuple(sorted(channel.metadata.items()))
-    return Channel(channel.topic, channel.message_encoding, *described, labels, channel.id)
+    return Channel(channel.topic, channel.message_encoding, *described, labels, channel.id, channel.schema_id)
 
 
 def summary_of(stream: IO[bytes]) -> Iterator[McapRecord]:
@@ -93,7 +94,7 @@ def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
     """
     found, names = Described(), list[str]()
     try:
-        with GuardedFile(path, DEFAULT_LIMITS) as stream:
+        with GuardedFile(LogFile.of(path), DEFAULT_LIMITS) as stream:
             for item in _whole_summary_of(stream):
                 found.add(item, in_data=False)
                 names += [item.name] if isinstance(item, records.MetadataIndex) else []
@@ -115,8 +116,6 @@ class Described:
     metadata: list[Metadata] = field(default_factory=list)
     schemas: dict[int, McapSchema] = field(default_factory=dict)
     """By the file's id."""
-    schema_ids: dict[int, int] = field(default_factory=dict)
-    """By ``Channel.source_id``; 0 is no schema."""
     _of_data: set[tuple[str, int]] = field(default_factory=set)
     """Kind and id of what the data section described."""
 
@@ -136,7 +135,6 @@ class Described:
                     raise ValueError(f"channel {item.id} has schema {item.schema_id}, which the log does not describe")
                 channel = channel_of(item, self.schemas.get(item.schema_id))
                 self._keep(self.channels, item.id, channel, "channel", in_data=in_data)
-                self.schema_ids[item.id] = item.schema_id
             case records.Attachment():
                 attachment = Attachment(item.name, item.media_type, item.data, item.log_time, item.create_time)
                 self.attachments.append(attachment)

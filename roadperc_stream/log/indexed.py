@@ -54,7 +54,7 @@ class IndexedFile:
     """A checked log that is read by its index, or sorted on disk if that would take too much memory."""
 
     found: Salvage
-    """The finished account; the CRCs of chunks are still to be checked if it is not ``sealed``."""
+    """The finished account."""
     in_order: SortedMessages
     """All messages, for reading that would take too much memory by the index."""
     _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
@@ -77,7 +77,7 @@ class IndexedFile:
         if held_bytes(chunks) > MOST_HELD_BYTES:
             yield from self.in_order.messages(topics, start_ns, end_ns)
             return
-        with opened(self.found.path, self.found.limits) as stream:
+        with opened(self.found.file, self.found.limits) as stream:
             yield from self._in_order(stream, chunks, wanted, start_ns, end_ns)
 
     def pieces(self, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> Iterator[Piece]:
@@ -87,7 +87,7 @@ class IndexedFile:
             messages = self.in_order.messages({self.channels[i].topic for i in kept}, start_ns, end_ns)
             yield from (message for message in messages if message.channel.source_id in kept)
             return
-        with opened(self.found.path, self.found.limits) as stream:
+        with opened(self.found.file, self.found.limits) as stream:
             whole = {_start(chunk) for chunk in apart(chunks) if _lies_in(chunk, kept, start_ns, end_ns)}
             for is_whole, group in groupby(chunks, key=lambda chunk: _start(chunk) in whole):
                 if is_whole:
@@ -108,8 +108,7 @@ class IndexedFile:
 
     def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
         """Return opcode and id of these channels and their schemas."""
-        ids = self.found.described.schema_ids
-        schemas = {(int(Opcode.SCHEMA), ids[i]) for i in kept}
+        schemas = {(int(Opcode.SCHEMA), self.channels[i].schema_id) for i in kept}
         return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
 
     def held_bytes(self) -> int:
@@ -147,7 +146,7 @@ class IndexedFile:
     def _bodies(self, stream: GuardedFile, chunk: ChunkIndex) -> Iterator[Body]:
         """Yield the message records of a chunk, and record its contents."""
         head = layout.chunk_of(_record(stream, chunk))
-        found = unpacked(head, check_crc=not self.found.sealed)
+        found = unpacked(head)
         others, entries = list[tuple[int, Body]](), list[IndexEntry]()
         for item in layout.records_in(found.data):
             if item.opcode == Opcode.MESSAGE:
@@ -182,8 +181,9 @@ class IndexedFile:
         match item:
             case McapSchema():
                 return known.schemas.get(item.id) == item
-            case McapChannel() if known.schema_ids.get(item.id) == item.schema_id:
-                return known.channels.get(item.id) == channel_of(item, known.schemas.get(item.schema_id))
+            case McapChannel() if (channel := known.channels.get(item.id)) is not None:
+                is_equal = channel == channel_of(item, known.schemas.get(item.schema_id))
+                return is_equal and channel.schema_id == item.schema_id
         return False
 
 

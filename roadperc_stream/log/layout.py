@@ -119,10 +119,10 @@ class ChunkHead:
         return RECORD.size + CHUNK.size + len(self.compression) + LENGTH.size + self.stored_bytes
 
 
-def entry_of(head: ChunkHead, start: int, length: int) -> records.ChunkIndex:
+def entry_of(head: ChunkHead, start: int, body_bytes: int) -> records.ChunkIndex:
     """Return the index entry of a chunk at byte ``start``, without its message indexes."""
     return records.ChunkIndex(
-        chunk_length=length,
+        chunk_length=RECORD.size + body_bytes,
         chunk_start_offset=start,
         compression=head.compression,
         compressed_size=head.stored_bytes,
@@ -211,12 +211,6 @@ def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
     return MessageIndex(offset, channel_id, list(ENTRY.iter_unpack(memoryview(body)[INDEX.size :][:length])))
 
 
-def has_form_of_index(body: bytes | memoryview) -> bool:
-    """Return whether a record's body has the length that it states as a message index."""
-    length = INDEX.unpack_from(body)[1] if len(body) >= INDEX.size else 0
-    return bool(length) and length % ENTRY.size == 0 and INDEX.size + length == len(body)
-
-
 def message_indexes(data: bytes) -> list[MessageIndex]:
     """Read the message indexes of some bytes.
 
@@ -243,6 +237,13 @@ def parse(opcode: int, body: bytes) -> Any:
         end = stream.count - CRC_BYTES
         require_crc("attachment", crc32(memoryview(body)[:end]), int.from_bytes(body[end : stream.count], "little"))
     return item
+
+
+def fault_of(error: BaseException) -> str:
+    """Return the text of one of the errors ``UNREADABLE``."""
+    return (
+        TOO_SHORT if isinstance(error, EOFError | EndOfFile) else " ".join(str(error).split()) or type(error).__name__
+    )
 
 
 def require_crc(what: str, found: int, expected: int) -> None:

@@ -5,16 +5,14 @@ The mcap library allocates any size that a record declares.
 
 import io
 import os
-from pathlib import Path
 from typing import Final
 
-import lz4.frame
-import zstandard
 from mcap.exceptions import McapError
 
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.log.layout import TOO_SHORT, ChunkHead
+from roadperc_stream.log.layout import ChunkHead
 from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
+from roadperc_stream.log.stored import LogFile
 
 _ALWAYS_BYTES: Final = 1024 * 1024
 """Reads up to this size are not checked."""
@@ -27,8 +25,8 @@ class LimitError(McapError):
 class GuardedFile(io.BufferedReader):
     """A file that raises an error for reads beyond its end, or of a record beyond the limit."""
 
-    def __init__(self, path: Path, limits: LimitsConfig) -> None:
-        super().__init__(path.open("rb").detach())
+    def __init__(self, file: LogFile, limits: LimitsConfig) -> None:
+        super().__init__(file.path.open("rb").detach())
         self.size_bytes, self._most_bytes = self.seek(0, os.SEEK_END), limits.record_bytes
         self.seek(0)
 
@@ -64,21 +62,9 @@ def require_chunk(head: ChunkHead, limits: LimitsConfig) -> None:
 
     Raises:
         LimitError: it exceeds the limit.
-        McapError: the compressed data declares more, or is shorter than declared.
     """
-    if head.stored_bytes > len(head.stored):
-        raise McapError(TOO_SHORT)
     if head.size_bytes > limits.chunk_bytes:
         raise LimitError(_beyond("a chunk", head.size_bytes, "chunk_mb", limits.chunk_bytes))
-    if _stated_bytes(head) > head.size_bytes:
-        raise McapError(f"holds more than the declared {head.size_bytes} bytes")
-
-
-def _stated_bytes(head: ChunkHead) -> int:
-    """Return the decompressed size that the compressed data declares; -1 or 0 if it declares none."""
-    if head.compression == "zstd":
-        return int(zstandard.frame_content_size(head.stored))
-    return int(lz4.frame.get_frame_info(head.stored)["content_size"]) if head.compression == "lz4" else 0
 
 
 def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:

@@ -130,7 +130,7 @@ class McapFile:
     def add_chunk(self, chunk: ChunkRecords) -> records.ChunkIndex:
         """Write a chunk with its message indexes; return its index entry."""
         head, start = chunk.head, self._stream.tell()
-        entry = layout.entry_of(head, start, len(chunk.record))
+        entry = layout.entry_of(head, start, len(chunk.record) - layout.RECORD.size)
         entry.message_index_length = len(chunk.indexes)
         for index in chunk.message_indexes:
             entry.message_index_offsets[index.channel_id] = start + len(chunk.record) + index.offset

@@ -4,64 +4,46 @@ Chunks are read by the index that the check of the file made. A log with message
 overlapping chunks, is sorted on disk.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Final
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.files import UnitedFiles, united
-from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.records import Channel, LogSummary, Message
 from roadperc_stream.log.recovery import audited, damage_in
 from roadperc_stream.log.sorting import SortedMessages
-
-_LEAST_HELD_BYTES: Final = 1024 * 1024
-"""Least memory counted for an open file, so that few are open at a time."""
+from roadperc_stream.log.stored import AnyLog, LogFile
 
 
-def summarise(
-    source: Path | Sequence[Path], limits: LimitsConfig = DEFAULT_LIMITS, *, check_chunks: bool = False
-) -> LogSummary:
+def summarise(source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_LIMITS) -> LogSummary:
     """Return channels, counts, attachments and metadata of a log, from its index if it has one.
 
-    All CRCs are checked, and index and statistics are compared with the file. If only chunks have CRCs, these are
-    checked when the chunks are read. A log whose messages cannot be ordered in little memory is sorted on disk at the
-    first reading. If files share topics at the same time, their messages are read to find repeated ones. ``limits`` are
-    those of records and chunks; ``check_chunks`` checks the CRCs of chunks now.
+    All CRCs are checked, and index and statistics are compared with the file. A log whose messages cannot be ordered in
+    little memory is sorted on disk at the first reading. If files share topics at the same time, their messages are
+    read to find repeated ones. ``limits`` are those of records and chunks.
 
     Raises:
         LogError: a file cannot be read, is not MCAP, is cut or damaged, or exceeds the limits.
         TargetError: there is no space to sort several files.
     """
-    paths = [source] if isinstance(source, Path) else source
+    sources = [source] if isinstance(source, Path | LogFile) else source
     files, held_bytes = list[LogSummary](), 0
-    for path in paths:
-        files.append(_summary_of(path, limits, check_chunks=check_chunks))
+    for one in sources:
+        files.append(_summary_of(LogFile.of(one), limits))
         held_bytes += sum(len(attachment.data) for attachment in files[-1].attachments)
         try:
             require_attachments(held_bytes, limits)
         except LimitError as error:
-            raise LogError(f"{path}: {error}") from error
-    return united(files, _held_bytes(files), limits) if len(files) > 1 else files[0]
-
-
-def _held_bytes(files: Iterable[LogSummary]) -> float:
-    """Return the most memory that merging files takes; infinite if one with messages has no index."""
-    spans = []
-    for file in files:
-        if not any(file.counts.values()):
-            continue
-        if not isinstance(file.source, IndexedFile):
-            return float("inf")
-        spans.append((file.first_ns or 0, file.last_ns or 0, max(file.source.held_bytes(), _LEAST_HELD_BYTES)))
-    return most_at_once(spans)
+            raise LogError(f"{one}: {error}") from error
+    return united(files) if len(files) > 1 else files[0]
 
 
 def read(
@@ -100,25 +82,25 @@ def pieces(
     return (message for message in messages if message.channel in kept)
 
 
-def _summary_of(path: Path, limits: LimitsConfig, *, check_chunks: bool) -> LogSummary:
+def _summary_of(file: LogFile, limits: LimitsConfig) -> LogSummary:
     """Return the summary of one file.
 
     Raises:
         LogError: as ``summarise``.
     """
-    found = audited(path, limits, check_chunks=check_chunks)
+    found = audited(file, limits)
     if not found.whole:
         raise damage_in(found)
-    in_order, described = SortedMessages(str(path), partial(in_file_order, path, limits)), found.described
+    in_order, described = SortedMessages(str(file), partial(in_file_order, file, limits)), found.described
+    channels = [found.channels[number] for number in sorted(found.channels)]
     return LogSummary(
-        path,
+        file.name,
         IndexedFile(found, in_order) if found.all_in_chunks else in_order,
         described.profile,
-        tuple(found.channels[number] for number in sorted(found.channels)),
+        tuple(channel if found.all_in_chunks else replace(channel, schema_id=0) for channel in channels),
         dict(found.counts),
         tuple(described.attachments),
         tuple(described.metadata),
         found.first_ns,
         found.last_ns,
-        schema_ids=described.schema_ids if found.all_in_chunks else {},
     )

@@ -25,6 +25,8 @@ class Channel:
     metadata: tuple[tuple[str, str], ...] = ()
     source_id: int = 0
     """Channel id in the source file; it distinguishes channels that are otherwise equal."""
+    schema_id: int = field(default=0, compare=False)
+    """Id of the schema in the source file, 0 if unknown."""
 
     @property
     def schema(self) -> tuple[str, str, bytes]:
@@ -93,8 +95,6 @@ class LogSummary:
     """The files of a log in several files, in the order of their times; empty for a single file."""
     repeats: int = 0
     """For one of several files: number of its messages that an earlier file also has. These count once."""
-    schema_ids: Mapping[int, int] = field(default_factory=dict)
-    """Schema id in the file, by ``Channel.source_id``; empty if not needed."""
 
 
 class MessageDigest:

@@ -16,7 +16,7 @@ from roadperc_stream.log.damage import LostSpan, nothing_saved
 from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 from roadperc_stream.log.recovery import Salvage
 from roadperc_stream.log.sorting import in_order_within
-from roadperc_stream.log.stored import Spool, StoredLog, storing
+from roadperc_stream.log.stored import AnyLog, LogFile, storing
 from roadperc_stream.log.writing import LogWriter, StoredLogWriter
 
 _MOST_HELD_BYTES: Final = 32 * 1024 * 1024
@@ -75,7 +75,7 @@ class Recovery:
             yield f"and {len(self.gaps) - _GAPS_LISTED} more gaps"
 
 
-def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
+def write_repaired(source: AnyLog, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
     """Write what can be read of a log to a new one, with index, CRCs, and a record of what was lost.
 
     The copy of a whole log has no such record. ``limits`` are those of records and chunks of ``source``.
@@ -87,17 +87,17 @@ def write_repaired(source: Path, target: Path, limits: LimitsConfig = DEFAULT_LI
         LogError: not one message can be read.
         TargetError: ``target`` cannot be written.
     """
-    return _repaired(source, partial(LogWriter, target), limits)
+    return _repaired(LogFile.of(source), partial(LogWriter, target), limits)
 
 
-def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
+def _repaired(source: LogFile, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
     """Write what can be read of a log; ``writer_of`` makes a writer for its profile."""
     salvage = Salvage(source, limits=limits)
     found = salvage.messages()
     messages = in_order_within(found, lambda m: m.log_time_ns, lambda m: len(m.data), _MOST_HELD_BYTES)
     first = next(messages, None)
     if first is None:
-        raise nothing_saved(source, salvage.damages)
+        raise nothing_saved(source.name, salvage.damages)
     described = salvage.described
     with writer_of(described.profile) as writer:
         for message in chain((first,), messages):
@@ -122,12 +122,12 @@ def _repaired(source: Path, writer_of: Callable[[str], LogWriter], limits: Limit
 class RepairedLog:
     """The readable part of a log as a whole log under the same name, and the account of its damage."""
 
-    path: Path
+    file: LogFile
     salvage: Salvage
     recovery: Recovery
 
 
-def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
+def repaired_copy(source: LogFile, limits: LimitsConfig = DEFAULT_LIMITS) -> RepairedLog:
     """Return the readable part of a log as a whole log in an unnamed temporary file.
 
     Raises:
@@ -135,6 +135,6 @@ def repaired_copy(source: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> Repair
         TargetError: there is no space for it.
     """
     with storing(str(source)):
-        file = TemporaryFile()  # noqa: SIM115 - the spool closes it
-    salvage, recovery = _repaired(source, partial(StoredLogWriter, source, file=file), limits)
-    return RepairedLog(StoredLog.of(source, Spool(str(source), file)), salvage, recovery)
+        file = TemporaryFile()  # noqa: SIM115 - the log owns it
+    salvage, recovery = _repaired(source, partial(StoredLogWriter, source.name, file=file), limits)
+    return RepairedLog(LogFile.temporary(source.name, file), salvage, recovery)

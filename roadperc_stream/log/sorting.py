@@ -1,7 +1,7 @@
 """Sorts messages by log time with bounded memory, for logs whose file and index are not in order.
 
-Messages that are nearly in order wait in memory for a while. All others are sorted on disk: their bytes go to a
-temporary file, and their keys and offsets to a temporary SQLite database with bounded memory.
+Messages that are nearly in order wait in memory for a while. All others are sorted on disk, in a temporary SQLite
+database with bounded memory.
 """
 
 import heapq
@@ -13,7 +13,7 @@ from threading import Lock
 from typing import Final, TypeVar
 
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.stored import Spool, storing
+from roadperc_stream.log.stored import storing
 
 T = TypeVar("T")
 _SIGN: Final = 2**63
@@ -22,14 +22,14 @@ _LATEST_NS: Final = 2**64 - 1
 _SETUP: Final = (
     "PRAGMA journal_mode = OFF",
     "PRAGMA cache_size = -8192",
-    "CREATE TABLE messages (log_time, number, publish_time, sequence, channel, start, length, "
+    "CREATE TABLE messages (log_time, number, publish_time, sequence, channel, data, "
     "PRIMARY KEY (log_time, number)) WITHOUT ROWID",
 )
 _PLACE: Final = "PRAGMA temp_store_directory = '{folder}'"
 """Without it, SQLite uses another folder than Python if TMPDIR is not set."""
-_ADD: Final = "INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)"
+_ADD: Final = "INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?)"
 _FIND: Final = (
-    "SELECT log_time, publish_time, sequence, channel, start, length FROM messages "
+    "SELECT log_time, publish_time, sequence, channel, data FROM messages "
     "WHERE log_time BETWEEN ? AND ? AND {wanted} ORDER BY log_time, number"
 )
 
@@ -63,8 +63,7 @@ class SortedMessages:
     def __init__(self, what: str, unsorted: Callable[[], Iterable[Message]]) -> None:
         self._what, self._unsorted = what, unsorted
         self._channels: dict[int, Channel] = {}
-        self._spool: Spool | None = None
-        self._keys: sqlite3.Connection | None = None
+        self._database: sqlite3.Connection | None = None
         self._lock = Lock()
 
     def messages(self, topics: Collection[str] | None, start_ns: int | None, end_ns: int | None) -> Iterator[Message]:
@@ -74,7 +73,7 @@ class SortedMessages:
             TargetError: there is no space to store them, or the stored ones cannot be read.
         """
         with self._lock:
-            keys, spool = self._stored()
+            database = self._database = self._database or self._stored()
         ids = [i for i, channel in self._channels.items() if topics is None or channel.topic in topics]
         wanted = "TRUE" if topics is None else f"channel IN ({', '.join(map(str, ids))})"
         first = max(start_ns or 0, 0)
@@ -82,36 +81,31 @@ class SortedMessages:
         if first > last:
             return
         with storing(self._what, "sorted"):
-            rows = keys.execute(_FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN))
-            for log_time, publish_time, sequence, channel_id, start, length in rows:
-                channel, data = self._channels[channel_id], spool.read(start, length)
+            for log_time, publish_time, sequence, channel_id, data in database.execute(
+                _FIND.format(wanted=wanted), (first - _SIGN, last - _SIGN)
+            ):
+                channel = self._channels[channel_id]
                 yield Message(channel, log_time + _SIGN, publish_time + _SIGN, sequence, data)
 
-    def _stored(self) -> tuple[sqlite3.Connection, Spool]:
-        """Return the keys of the messages, and their bytes."""
-        if self._keys is not None and self._spool is not None:
-            return self._keys, self._spool
-        spool, keys = Spool(self._what), sqlite3.connect("", isolation_level=None, check_same_thread=False)
+    def _stored(self) -> sqlite3.Connection:
+        """Return the database with the messages."""
+        database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
         try:
             with storing(self._what, "sorted"):
                 folder = gettempdir().replace("'", "''")
                 for statement in (_PLACE.format(folder=folder), *_SETUP, "BEGIN"):
-                    keys.execute(statement)
-                keys.executemany(_ADD, self._added_to(spool))
-                keys.execute("COMMIT")
-            spool.finish()
+                    database.execute(statement)
+                database.executemany(_ADD, self._rows())
+                database.execute("COMMIT")
         except BaseException:
-            keys.close()
+            database.close()
             raise
-        weakref.finalize(self, keys.close)
-        self._keys, self._spool = keys, spool
-        return keys, spool
+        weakref.finalize(self, database.close)
+        return database
 
-    def _added_to(self, spool: Spool) -> Iterator[tuple[int, ...]]:
-        """Store the bytes of the messages; yield their keys."""
+    def _rows(self) -> Iterator[tuple[int, int, int, int, int, bytes]]:
         for number, message in enumerate(self._unsorted()):
             channel_id = message.channel.source_id
             self._channels[channel_id] = message.channel
             log_time, publish_time = message.log_time_ns - _SIGN, message.publish_time_ns - _SIGN
-            start, length = spool.append(message.data), len(message.data)
-            yield log_time, number, publish_time, message.sequence, channel_id, start, length
+            yield log_time, number, publish_time, message.sequence, channel_id, message.data

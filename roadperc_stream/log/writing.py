@@ -1,7 +1,7 @@
 """Writes logs, and copies messages of other logs into them. A file gets its name only when it is complete."""
 
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from itertools import chain
@@ -110,17 +110,16 @@ class LogWriter:
         self._growing = GrowingLog(self._temporary, {number: c for c, number in self._channel_ids.items()})
         return self._growing
 
-    def register(self, channel: Channel, *, ids: tuple[int, int] | None = None) -> int:
+    def register(self, channel: Channel, *, keep_ids: bool = False) -> int:
         """Describe a channel, even if it never gets a message, and return its id.
 
-        ``ids`` are the preferred ids of the channel and of its schema, 0 without a schema.
+        ``keep_ids`` prefers the ids that the channel and its schema have in the source file.
         """
         known = self._channel_ids.get(channel)
         if known is not None:
             return known
-        wanted, wanted_schema = ids or (None, 0)
-        schema_id = self._schema_id(channel, wanted_schema)
-        channel_id = self._free_id(self._channel_ids.values(), wanted)
+        schema_id = self._schema_id(channel, channel.schema_id if keep_ids else 0)
+        channel_id = self._free_id(self._channel_ids.values(), channel.source_id if keep_ids else None)
         with self._errors():
             self._file.add_channel(
                 records.Channel(channel_id, channel.topic, channel.message_encoding, dict(channel.metadata), schema_id)
@@ -233,24 +232,17 @@ class MessageCopy:
     Copied messages are in separate chunks, so that a later copy of this log can take these chunks unchanged.
     """
 
-    def __init__(
-        self,
-        writer: LogWriter,
-        channels: Iterable[Channel],
-        copied: Iterator[Piece],
-        schema_ids: Mapping[int, int] | None = None,
-    ) -> None:
+    def __init__(self, writer: LogWriter, channels: Iterable[Channel], copied: Iterator[Piece]) -> None:
         """Register the channels, also those that never get a message.
 
         Args:
             writer: of the target log. It has no channels yet, so the copied ones keep their ids.
             channels: of the messages, and others to register.
             copied: messages and chunks in log-time order.
-            schema_ids: of the channels' schemas, as in ``LogSummary``; they are kept too.
         """
         self._writer, self._copied = writer, copied
         for channel in channels:
-            writer.register(channel, ids=(channel.source_id, (schema_ids or {}).get(channel.source_id, 0)))
+            writer.register(channel, keep_ids=True)
         self._next = next(copied, None)
 
     def through(self, log_time_ns: int | None) -> None:

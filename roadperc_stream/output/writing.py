@@ -161,7 +161,7 @@ class Outputs:
         copied: tuple[Iterable[Channel], Iterator[Piece]] = (
             ((), iter(())) if self._target.results_only else (log_in.channels, log_in.messages.pieces())
         )
-        self._copy = MessageCopy(self._log, *copied, log_in.summary.schema_ids)
+        self._copy = MessageCopy(self._log, *copied)
         topics = result_schemas(self._target.on_request)
         self._channels = {topic: result_channel(topic, name) for topic, name in topics.items()}
         for channel in self._channels.values():

@@ -1,7 +1,6 @@
 """Differences of two runs of one log, frame by frame, from the metrics in their logs."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class MetricDifference:
     text: str
 
 
-def find_differences(base: Path, new: Path) -> list[MetricDifference]:
+def find_differences(base: log.AnyLog, new: log.AnyLog) -> list[MetricDifference]:
     """The columns with a relevant difference, the largest worsening first. Frames pair by their stamps.
 
     Raises:

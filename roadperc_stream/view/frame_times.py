@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
@@ -33,7 +32,7 @@ def timed_rows(summary: LogSummary, problems: Problems) -> Iterator[tuple[int, F
             yield message.log_time_ns, row
 
 
-def frame_times(path: Path) -> dict[int, int]:
+def frame_times(path: log.AnyLog) -> dict[int, int]:
     """The log time in nanoseconds of every frame of a log with results, by its number in the metrics.
 
     Raises:
@@ -42,7 +41,7 @@ def frame_times(path: Path) -> dict[int, int]:
     return {row.frame: log_time_ns for log_time_ns, row in timed_rows(log.summarise(path), Problems())}
 
 
-def find_stop(path: Path, frame: int) -> Stop:
+def find_stop(path: log.AnyLog, frame: int) -> Stop:
     """The stop at a frame of a log with results, by its number in the metrics.
 
     Raises:

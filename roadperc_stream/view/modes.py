@@ -61,7 +61,9 @@ def view_runs(arguments: argparse.Namespace, playback: PlaybackOptions, finding:
         _view(arguments, playback, logs, stop)
 
 
-def _view(arguments: argparse.Namespace, playback: PlaybackOptions, logs: Sequence[Path], stop: Stop | None) -> None:
+def _view(
+    arguments: argparse.Namespace, playback: PlaybackOptions, logs: Sequence[log.AnyLog], stop: Stop | None
+) -> None:
     """Show one or two logs, or none for a layout of all topics."""
     arguments.log = logs[0] if logs else None
     if arguments.foxglove_layout:
@@ -79,16 +81,16 @@ def _view(arguments: argparse.Namespace, playback: PlaybackOptions, logs: Sequen
         _show_in_rerun(arguments, logs, stop)
 
 
-def _readable(arguments: argparse.Namespace) -> Path:
+def _readable(arguments: argparse.Namespace) -> log.LogFile:
     """A file that can be read repeatedly: store a pipe; with ``--recover`` repair a damaged log."""
-    path = log.received_file(Path(arguments.log))
-    if not arguments.recover or log.audited(path, check_chunks=True).whole:
-        return path
-    copy = log.repaired_copy(path)
+    file = log.received_file(Path(arguments.log))
+    if not arguments.recover or log.audited(file).whole:
+        return file
+    copy = log.repaired_copy(file)
     if not arguments.quiet:
-        for warning in warnings_of(path, copy.salvage.damages, copy.recovery, copy.salvage.first_ns):
+        for warning in warnings_of(file.name, copy.salvage.damages, copy.recovery, copy.salvage.first_ns):
             print_line(f"warning: {warning}")
-    return copy.path
+    return copy.file
 
 
 def _lay_out(arguments: argparse.Namespace) -> None:
@@ -110,7 +112,7 @@ def _record_video(arguments: argparse.Namespace) -> None:
         )
 
 
-def _show_in_rerun(arguments: argparse.Namespace, logs: Sequence[Path], stop: Stop | None) -> None:
+def _show_in_rerun(arguments: argparse.Namespace, logs: Sequence[log.AnyLog], stop: Stop | None) -> None:
     """Save a recording, or send it to a viewer; two runs open at the worst difference unless a frame is given."""
     target = arguments.save
     rerun = import_module("roadperc_stream.view.rerun")  # on use only, because the import takes half a second

@@ -49,7 +49,7 @@ class Video:
 
 
 def write_video(
-    source: Path, target: Path, *, force: bool = False, progress: Callable[[int, int], None] = no_progress
+    source: log.AnyLog, target: Path, *, force: bool = False, progress: Callable[[int, int], None] = no_progress
 ) -> Video:
     """Write a video of the overlays in a log; without overlays, draw the results into the camera image.
 
@@ -61,7 +61,7 @@ def write_video(
         LogError: the log is unreadable, or has no results or no pictures.
         TargetError: the video exists and ``force`` is not set, or it cannot be completed; no partial file remains.
     """
-    require_free(target, force=force, source=source, suffix=".mp4")
+    require_free(target, force=force, source=log.LogFile.of(source).name, suffix=".mp4")
     summary, problems = log.summarise(source), Problems()
     stamps = _frame_stamps(summary)
     rate_hz, frames = frame_rate_hz(stamps), 0

@@ -26,13 +26,12 @@ LATEST_NS = 2**64 - 1
 def nothing_held(monkeypatch):
     """Sort logs with overlapping chunks on disk."""
     monkeypatch.setattr("roadperc_stream.log.indexed.MOST_HELD_BYTES", 1_000_000)
-    monkeypatch.setattr("roadperc_stream.log.files.MOST_HELD_BYTES", 1_000_000)
 
 
 def was_sorted(summary):
     """Return whether the messages that were read were sorted on disk."""
     source = summary.source
-    return (source.in_order if isinstance(source, IndexedFile) else source)._keys is not None
+    return (source.in_order if isinstance(source, IndexedFile) else source)._database is not None
 
 
 def written(path, times, **options):
@@ -119,7 +118,7 @@ def test_a_log_is_sorted_when_read_and_leaves_no_file(tmp_path, monkeypatch):
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
     summary = log.summarise(path)
-    assert summary.source._keys is None
+    assert summary.source._database is None
     messages = log.read(summary)
     assert next(messages).log_time_ns == 1
     assert list((tmp_path / "temporary").iterdir()) == []
@@ -128,7 +127,7 @@ def test_a_log_is_sorted_when_read_and_leaves_no_file(tmp_path, monkeypatch):
 def test_a_missing_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     summary = log.summarise(written(tmp_path / "a.mcap", [2, 1], use_chunking=False))
-    with pytest.raises(TargetError, match=rf"a\.mcap: cannot be stored in {tmp_path}/none: .*TMPDIR") as caught:
+    with pytest.raises(TargetError, match=rf"a\.mcap: cannot be sorted in {tmp_path}/none: .*TMPDIR") as caught:
         next(log.read(summary))
     assert "\n" not in str(caught.value)
 

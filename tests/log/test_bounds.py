@@ -59,12 +59,12 @@ def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
         complete(writer)
 
     monkeypatch.setattr(StoredLogWriter, "complete", watched)
-    copy = log.repaired_copy(source)
+    copy = log.repaired_copy(log.LogFile.of(source))
     repaired = tmp_path / "repaired.mcap"
     log.write_repaired(source, repaired)
     assert seen == [[]]
     assert (list(temporary.iterdir()), sorted(tmp_path.iterdir())) == ([], sorted([source, repaired, temporary]))
-    with copy.path.open("rb") as stream:
+    with copy.file.path.open("rb") as stream:
         assert stream.read() == repaired.read_bytes()
 
 
@@ -74,7 +74,7 @@ def test_a_read_error_of_a_sorted_log_names_the_folder():
     assert [m.log_time_ns for m in source.messages(None, None, None)] == [1, 2]
     reading = source.messages(None, None, None)
     next(reading)
-    source._keys.close()
+    source._database.close()
     reading.close()
     with pytest.raises(TargetError, match=r"a\.mcap: cannot be sorted in /.*TMPDIR names a folder"):
         list(source.messages(None, None, None))

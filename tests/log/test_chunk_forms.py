@@ -93,7 +93,7 @@ def copied(source, target):
             yield piece
 
     with LogWriter(target) as writer:
-        MessageCopy(writer, summary.channels, noted(), summary.schema_ids).rest()
+        MessageCopy(writer, summary.channels, noted()).rest()
     return whole
 
 
@@ -147,7 +147,7 @@ def test_all_frames_of_a_chunk_are_read(tmp_path, form):
     """A reader that stops after the first frame loses messages without a sign if a record ends there."""
     source = around(tmp_path / "a.mcap", UNUSUAL[form])
     assert plain(log.read(log.summarise(source))) == ALL
-    assert plain(in_file_order(source, DEFAULT_LIMITS)) == ALL
+    assert plain(in_file_order(log.LogFile.of(source), DEFAULT_LIMITS)) == ALL
     assert Salvage(source).run().whole
 
 

@@ -11,8 +11,8 @@ from mcap.writer import CompressionType, IndexType
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
-from roadperc_stream.log import LostSpan, Metadata, Recovery, chunks, layout
-from roadperc_stream.log.chunks import contents_of
+from roadperc_stream.log import LostSpan, Metadata, Recovery, layout
+from roadperc_stream.log.chunks import outline_of, streamed
 from roadperc_stream.log.layout import chunk_head, message_head, records_in
 from tests.log import flips
 
@@ -29,7 +29,7 @@ UNCHUNKED = {"no chunks": {}, "no chunks, no summary": {"index_types": IndexType
 def units(content):
     """The chunks of a log, or its messages outside chunks: first byte, end, and (channel, time, sequence, data)."""
     for record in records_in(content[8:-8]):
-        found = contents_of(chunk_head(record.body), 10_000)[0] if record.opcode == 6 else [record]
+        found = list(streamed(chunk_head(record.body))) if record.opcode == 6 else [record]
         bodies = [bytes(item.body) for item in found if item.opcode == 5]
         heads = [message_head(body) for body in bodies]
         messages = [(h.channel_id, h.log_time_ns, h.sequence, b[22:]) for h, b in zip(heads, bodies, strict=True)]
@@ -105,16 +105,6 @@ def test_a_flipped_bit_is_an_error_or_loses_no_message(tmp_path, shape):
         bit = random.randrange(8 * len(whole))
         path.write_bytes(flips.flipped(whole, bit))
         assert flips.outcome(path, truth, counted=counted) != "lost", f"bit {bit % 8} of byte {bit // 8}"
-
-
-@pytest.mark.parametrize("opcode", [0x85, 0x04, 0x07, 0x01, 0x0D, 0x15, 0x45])
-def test_a_changed_opcode_of_a_message_is_damage_without_a_crc(tmp_path, opcode):
-    path = flips.write(tmp_path / "a.mcap", **flips.SHAPES["unchunked, no statistics"])
-    content, data = path.read_bytes(), [m.data for m in log.read(log.summarise(path))]
-    at = content.index(data[30]) - 22 - 9
-    path.write_bytes(content[:at] + bytes([opcode]) + content[at + 1 :])
-    with pytest.raises(LogError, match=f"damaged at byte {at}: .*59 messages can be saved, all before 0.290 s"):
-        log.summarise(path)
 
 
 def repaired(path):
@@ -201,8 +191,8 @@ def test_an_invalid_record_of_losses_is_ignored(values):
 
 
 def test_an_lz4_frame_without_its_end_is_an_error():
-    data = b"a record" * 100
+    data = b"\x05" + (50).to_bytes(8, "little") + bytes(50)
     frame = lz4.frame.compress(data, store_size=False)
     for stored, fault in ((frame, ""), (frame[:-4], layout.TOO_SHORT)):
         head = layout.ChunkHead(0, 1, len(data), 0, "lz4", len(stored), memoryview(stored))
-        assert chunks._decompressed(head)[1] == fault
+        assert outline_of(head, 10)[1] == fault

@@ -19,7 +19,6 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.input.outcome import FileSpan, joins
 from roadperc_stream.log import Attachment, Channel, Message, Metadata
-from roadperc_stream.log.files import MergedFiles, SortedFiles
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.system.time import TimeRange
 from tests import logs
@@ -47,7 +46,6 @@ def test_files_of_the_sample_equal_the_sample(tmp_path, seed, arrangement):
     files = parts(SAMPLE, tmp_path, cuts, **arrangement)
     random.Random(seed).shuffle(files)
     log_in, whole = open_input(ReplaySource(files), CFG), open_input(ReplaySource(SAMPLE), CFG)
-    assert isinstance(log_in.summary.source.files, SortedFiles if arrangement else MergedFiles)
     assert plain(log_in.messages.copied()) == plain(whole.messages.copied())
     assert (log_in.log_id, log_in.span_ns, log_in.topics) == (whole.log_id, whole.span_ns, whole.topics)
 
@@ -96,7 +94,7 @@ def test_equal_channels_are_joined_across_files_only(tmp_path):
 def test_files_are_open_only_while_they_are_read(tmp_path, monkeypatch):
     files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
     summary, now, most = log.summarise(files), [0], [0]
-    for part, _ in summary.source.files.files:
+    for part, _ in summary.source.files:
 
         def counted(*args, messages=part.source.messages, **options):
             now[0] += 1
@@ -110,24 +108,16 @@ def test_files_are_open_only_while_they_are_read(tmp_path, monkeypatch):
     assert most[0] <= 2
 
 
-def test_many_overlapping_files_are_sorted_on_disk(tmp_path):
-    files = [written(tmp_path / f"{k}.mcap", [(A, k), (B, 100 + k)]) for k in range(40)]
-    summary = log.summarise(files)
-    assert isinstance(summary.source.files, SortedFiles)
-    assert [m.log_time_ns for m in log.read(summary)] == [*range(40), *range(100, 140)]
-
-
 SHARED = [("/a", 1), ("/a", 2), ("/b", 2), ("/a", 2), ("/b", 3), ("/a", 4)]
 
 
-@pytest.mark.parametrize("together", [2, 40], ids=["merged", "sorted on disk"])
+@pytest.mark.parametrize("together", [2, 40])
 def test_repeated_messages_come_once(tmp_path, together):
     """As often as in the file with the most of them, in the order of that file."""
     channels = {"/a": A, "/b": B}
     pieces = [SHARED[:4], SHARED[2:], SHARED] + [SHARED[1:3]] * (together - 2)
     files = [written(tmp_path / f"{k}.mcap", [(channels[t], ns) for t, ns in piece]) for k, piece in enumerate(pieces)]
     summary = log.summarise(files)
-    assert isinstance(summary.source.files, MergedFiles if together == 2 else SortedFiles)
     assert [(m.channel.topic, m.log_time_ns) for m in log.read(summary)] == SHARED
     assert {c.topic: summary.counts[c.source_id] for c in summary.channels} == {"/a": 4, "/b": 2}
     assert sum(part.repeats for part in summary.files) == sum(map(len, pieces)) - len(SHARED)
@@ -159,13 +149,6 @@ def test_files_with_repeated_messages_equal_the_whole_log(tmp_path, arrangement)
     shared = len(early) + len(late) - MESSAGES
     notes = open_input(ReplaySource(files[:2]), CFG).notes
     assert any(f"{shared} of its messages are also in earlier files and count once" in note for note in notes)
-
-
-def test_files_without_common_topics_are_not_compared(tmp_path):
-    files = [written(tmp_path / "a.mcap", [(A, k) for k in range(9)]), written(tmp_path / "b.mcap", [(B, 3), (B, 20)])]
-    summary = log.summarise(files)
-    assert summary.source.shared.all_spans == []
-    assert [part.repeats for part in summary.files] == [0, 0]
 
 
 def test_attachments_and_metadata_are_united(tmp_path):

@@ -91,7 +91,7 @@ def test_late_messages_keep_their_stamps_and_the_log_its_order(clean, tmp_path):
     delays = {m.log_time_ns - m.publish_time_ns for topic in (IMAGE, DEPTH) for m in after[topic]}
     assert delays == {0, 200_000_000}
     assert sorted(m.data for m in after[DEPTH]) == sorted(m.data for m in before[DEPTH])
-    times = [m.log_time_ns for m in in_file_order(out, DEFAULT_LIMITS)]
+    times = [m.log_time_ns for m in in_file_order(log.LogFile.of(out), DEFAULT_LIMITS)]
     assert times == sorted(times)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from roadperc_stream.log import AnyLog, LogFile
 from roadperc_stream.model import EGO
 from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.roles import ROLES
@@ -222,7 +223,7 @@ def _raw_messages(name: str, title: str, topic: str | None) -> Node | None:
 
 def write_layout(
     target: Path,
-    source: Path | None = None,
+    source: AnyLog | None = None,
     overrides: Mapping[str, str] | None = None,
     *,
     timed: bool = False,
@@ -237,7 +238,7 @@ def write_layout(
         RoadpercError: the log cannot be read or has nothing to show, or the file exists or cannot be
             written.
     """
-    require_free(target, force=force, source=source, suffix=".json")
+    require_free(target, force=force, source=LogFile.of(source).name if source else None, suffix=".json")
     has = contents_of(source, overrides or {}) if source else OF_A_LIVE_REPLAY
     if timed:
         has = replace(has, results=has.results | {topics.TIMES_TOPIC})

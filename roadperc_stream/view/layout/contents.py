@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
@@ -59,7 +58,7 @@ OF_A_LIVE_REPLAY: Final = LogContents(
 """The contents that a live replay serves, without pictures on request."""
 
 
-def contents_of(path: Path, overrides: Mapping[str, str]) -> LogContents:
+def contents_of(path: log.AnyLog, overrides: Mapping[str, str]) -> LogContents:
     """Return the contents of a log.
 
     ``overrides`` are topics by role, from ``--topic``.

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from ipaddress import ip_address
-from pathlib import Path
 from threading import Thread
 from time import monotonic_ns
 from typing import Final
@@ -42,7 +41,7 @@ class ServeError(RoadpercError):
     """The server cannot start."""
 
 
-def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> None:
+def serve_log(file: log.AnyLog, options: PlaybackOptions, *, quiet: bool = False) -> None:
     """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``plumbing.run`` turns into Ctrl-C.
 
     Raises:
@@ -50,7 +49,7 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         TableError: the metrics table beside it cannot be read.
         ServeError: the port is not available.
     """
-    source = log_with_times(path)
+    path, source = log.LogFile.of(file).name, log_with_times(file)
     reach, start_ns = source.reach(), source.reach().first_ns + seconds_to_ns(options.start_s)
     if reach.clamp(start_ns) != start_ns:
         length_s = ns_to_seconds(reach.last_ns - reach.first_ns)
@@ -64,14 +63,15 @@ def serve_log(path: Path, options: PlaybackOptions, *, quiet: bool = False) -> N
         player.run(viewers)
 
 
-def log_with_times(path: Path) -> Source:
+def log_with_times(file: log.AnyLog) -> Source:
     """A finished log, with stage times if the table beside it has them.
 
     Raises:
         LogError: the log is unreadable or has no messages.
         TableError: the table cannot be read.
     """
-    source, times = finished_log(log.summarise(path)), TableTimes(sidecar_path(path, "metrics")).of
+    summary = log.summarise(file)
+    source, times = finished_log(summary), TableTimes(sidecar_path(summary.path, "metrics")).of
     return with_times(source, times) if has_times(source, times) else source
 
 

@@ -7,12 +7,12 @@ frames, so that their lanes and boxes compare in the car's frame.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import Any, Final, cast
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from roadperc_stream.log import AnyLog
 from roadperc_stream.model import EGO
 from roadperc_stream.schemas import topics
 from roadperc_stream.view.differences import MetricDifference
@@ -39,7 +39,7 @@ class Opening:
     """
 
     stop: Stop | None = None
-    new: Path | None = None
+    new: AnyLog | None = None
     differences: Sequence[MetricDifference] = ()
 
 

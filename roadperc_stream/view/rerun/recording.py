@@ -61,7 +61,7 @@ Export = Callable[[rr.RecordingStream, Callable[[], None]], Exported]
 
 
 def open_viewer(
-    path: Path, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Opening = ALONE
+    path: log.AnyLog, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Opening = ALONE
 ) -> Exported:
     """Open the viewer and send it a log; the viewer stays open.
 
@@ -70,7 +70,7 @@ def open_viewer(
     """
     export = _export_of(path, overrides, progress, shown, arrange_early=shown.new is None)
     start_viewer()
-    recording = _recording(path)
+    recording = _recording(log.LogFile.of(path).name)
     try:
         with ending_at_once():
             recording.connect_grpc(URL)
@@ -83,7 +83,7 @@ def open_viewer(
 
 
 def save_recording(
-    path: Path,
+    path: log.AnyLog,
     target: Path,
     overrides: Mapping[str, str],
     *,
@@ -97,9 +97,9 @@ def save_recording(
         RoadpercError: a log is unreadable or has nothing to show, ``target`` is not an ``.rrd`` or exists without
             ``force``, or it cannot be completed; no partial file remains.
     """
-    require_free(target, force=force, source=path, suffix=".rrd")
+    require_free(target, force=force, source=log.LogFile.of(path).name, suffix=".rrd")
     export = _export_of(path, overrides, progress, shown, arrange_early=False)
-    recording = _recording(path, _LARGE_CHUNKS)
+    recording = _recording(log.LogFile.of(path).name, _LARGE_CHUNKS)
     with completing(target, force=force) as temporary, saving(recording, temporary) as check:
 
         def keep_up() -> None:
@@ -110,7 +110,7 @@ def save_recording(
 
 
 def _export_of(
-    path: Path, overrides: Mapping[str, str], progress: Progress, shown: Opening, *, arrange_early: bool
+    path: log.AnyLog, overrides: Mapping[str, str], progress: Progress, shown: Opening, *, arrange_early: bool
 ) -> Export:
     """A function that logs one or two runs and the blueprint."""
     roots = {"": path} if shown.new is None else {BASE: path, NEW: shown.new}
@@ -129,7 +129,7 @@ def _export_of(
     return export
 
 
-def _opened(path: Path, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
+def _opened(path: log.AnyLog, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
     summary = log.summarise(path)
     roles = assignment_of_log(summary, overrides)
     require_shown(summary, roles)
