@@ -29,5 +29,7 @@ def complaint(error: "ErrorDetails", most: int = 200) -> str:
         return "missing"
     if kind == "value_error":
         return str(context["error"])
+    if kind == "union_tag_invalid":
+        return f"expected one of {context['expected_tags']}, found {in_brief(context['tag'], most)}"
     said = "expected keys with values" if kind in _TABLES else error["msg"].replace("Input should be", "expected")
     return f"{said}, found {in_brief(error['input'], most)}"
