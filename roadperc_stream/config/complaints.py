@@ -8,20 +8,8 @@ from roadperc_stream.system.text import in_brief
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-_EXPECTED: Final = {
-    **dict.fromkeys(("tuple_type", "list_type"), "a list"),
-    **dict.fromkeys(("dict_type", "mapping_type", "model_type"), "keys with values"),
-    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
-    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
-    "string_type": "a text",
-    "string_pattern_mismatch": "a text of the form {pattern}",
-    "too_short": "at least {min_length} values",
-    "too_long": "at most {max_length} values",
-    "literal_error": "one of {expected}",
-    "union_tag_invalid": "one of {expected_tags}",
-    "json_invalid": "JSON ({error})",
-}
-"""The expected value by the type of pydantic's error; others are in its message. The braces are keys of its context."""
+_TABLES: Final = frozenset({"dict_type", "mapping_type", "model_type"})
+"""Errors whose text names a class of this program."""
 _MEMBERS: Final = frozenset({"int", "float", "str", "bool"})
 
 
@@ -41,6 +29,7 @@ def complaint(error: "ErrorDetails", most: int = 200) -> str:
         return "missing"
     if kind == "value_error":
         return str(context["error"])
-    said = error["msg"].removeprefix("Input should be ")
-    words = _EXPECTED[kind].format(**context) if kind in _EXPECTED else said
-    return f"expected {words}, found {in_brief(context.get('tag', error['input']), most)}"
+    if kind == "union_tag_invalid":
+        return f"expected one of {context['expected_tags']}, found {in_brief(context['tag'], most)}"
+    said = "expected keys with values" if kind in _TABLES else error["msg"].replace("Input should be", "expected")
+    return f"{said}, found {in_brief(error['input'], most)}"

@@ -2,15 +2,19 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from roadperc_stream.model import Absent, FrameResult, Object, Objects, Sample
 from roadperc_stream.model.tag_tables import classes_of_label
-from roadperc_stream.schemas.columns import ObjectMetrics
+from roadperc_stream.schemas.columns import FrameKey, ObjectMetrics
 from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns, TrueObjectColumns
 from roadperc_stream.schemas.columns.estimates import ObjectColumns
 
+_COLUMNS: Final = frozenset(ObjectMetrics.__dataclass_fields__)
+_TRUE: Final = ("distance_m", "closing_speed_mps", "lateral_m", "in_path")
+"""Fields of the matching true object, whose columns begin with ``true_``."""
 MATCH_OVERLAP = 0.5
 """Intersection over union from which a detection matches a true object of its kind."""
 
@@ -30,39 +34,19 @@ def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> list[Obj
 def _object_row(
     log_id: str, sample: Sample, item: Object, partner: Object | None, is_true: bool | None
 ) -> ObjectMetrics:
-    box = item.detection.box_px
-    return ObjectMetrics(
-        log_id=log_id,
-        frame=sample.index,
-        stamp_ns=sample.frame.stamp_ns,
-        track_id=item.track_id or None,
-        label=item.detection.label,
-        score=item.detection.score,
-        x_min_px=box.x_min,
-        y_min_px=box.y_min,
-        x_max_px=box.x_max,
-        y_max_px=box.y_max,
-        class_ratio=item.class_ratio,
-        kept=item.kept,
-        distance_m=item.distance_m,
-        distance_std_m=item.distance_std_m,
-        distance_source=None if item.distance_m is None else item.distance_source,
-        closing_speed_mps=item.closing_speed_mps,
-        closing_speed_std_mps=item.closing_speed_std_mps,
-        time_to_impact_s=item.time_to_impact_s,
-        time_to_impact_std_s=item.time_to_impact_std_s,
-        lateral_m=item.lateral_m,
-        in_path=item.in_path,
-        cut_in=item.cut_in,
-        status=item.status,
-        beyond_range=item.beyond_range,
-        is_true=is_true,
-        true_distance_m=None if partner is None else partner.distance_m,
-        true_closing_speed_mps=None if partner is None else partner.closing_speed_mps,
-        true_time_to_impact_s=None if partner is None else true_time_to_impact_s(partner),
-        true_lateral_m=None if partner is None else partner.lateral_m,
-        true_in_path=None if partner is None else partner.in_path,
-    )
+    """The row of a detection; fields of the same name are copied."""
+    found = item.detection
+    same = {name: value for name, value in vars(item).items() if name in _COLUMNS}
+    box = {f"{side}_px": value for side, value in vars(found.box_px).items()}
+    known = {
+        "track_id": item.track_id or None,
+        "distance_source": None if item.distance_m is None else item.distance_source,
+        "is_true": is_true,
+        "true_time_to_impact_s": None if partner is None else true_time_to_impact_s(partner),
+        **{f"true_{name}": getattr(partner, name, None) for name in _TRUE},
+    }
+    place = FrameKey(log_id, sample.index, sample.frame.stamp_ns)
+    return ObjectMetrics(**vars(place), label=found.label, score=found.score, **same | box | known)
 
 
 def true_time_to_impact_s(true: Object) -> float | None:

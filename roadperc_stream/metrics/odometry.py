@@ -1,5 +1,7 @@
 """Metrics of the car's pose and step."""
 
+from typing import Final
+
 import numpy as np
 
 from roadperc_stream.geometry import Float, inverse
@@ -8,12 +10,13 @@ from roadperc_stream.model import Absent, EarlierTruth, Odometry, Sample, Truth
 from roadperc_stream.schemas.columns.errors import OdometryErrorColumns, TruePoseColumns
 from roadperc_stream.schemas.columns.estimates import OdometryColumns
 
+_POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
 
 def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
     """The columns of status, pose and step; a step up to scale has no length."""
     if isinstance(odometry, Absent):
         return OdometryColumns()
-    x, y, z, qx, qy, qz, qw = _position_and_quaternion(odometry.odom_T_ego) if odometry.has_length else (None,) * 7
     step, covariance = odometry.step, odometry.covariance
     metric_step = None if odometry.up_to_scale else step
     turn_std = None if step is None else _std_along(rotation_vector(step[:3, :3]), covariance, 3)
@@ -25,13 +28,7 @@ def odometry_columns(odometry: Odometry | Absent) -> OdometryColumns:
         step_std_m=None if metric_step is None else _std_along(inverse(metric_step)[:3, 3], covariance, 0),
         turn_deg=None if step is None else rotation_angle_deg(step),
         turn_std_deg=None if turn_std is None else float(np.degrees(turn_std)),
-        odom_x_m=x,
-        odom_y_m=y,
-        odom_z_m=z,
-        odom_qx=qx,
-        odom_qy=qy,
-        odom_qz=qz,
-        odom_qw=qw,
+        **(_pose("odom", odometry.odom_T_ego) if odometry.has_length else {}),
     )
 
 
@@ -39,12 +36,13 @@ def true_pose_columns(truth: Truth) -> TruePoseColumns:
     """The true odom_T_ego, for the evaluation of trajectories from the table."""
     if truth.odom_T_ego is None:
         return TruePoseColumns()
-    return TruePoseColumns(*_position_and_quaternion(truth.odom_T_ego))
+    return TruePoseColumns(**_pose("true", truth.odom_T_ego))
 
 
-def _position_and_quaternion(odom_T_ego: Float) -> tuple[float, ...]:
-    """x, y, z in metres, then the unit quaternion x, y, z, w of a (4, 4) transform."""
-    return (*(float(value) for value in odom_T_ego[:3, 3]), *quaternion(odom_T_ego[:3, :3]))
+def _pose(prefix: str, odom_T_ego: Float) -> dict[str, float]:
+    """The columns ``PREFIX_x_m`` to ``PREFIX_qw``: position and unit quaternion of a (4, 4) transform."""
+    values = (*(float(value) for value in odom_T_ego[:3, 3]), *quaternion(odom_T_ego[:3, :3]))
+    return dict(zip((f"{prefix}_{name}" for name in _POSE), values, strict=True))
 
 
 def odometry_errors(odometry: Odometry | Absent, sample: Sample, previous: EarlierTruth | None) -> OdometryErrorColumns:

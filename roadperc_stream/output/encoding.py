@@ -163,13 +163,7 @@ def _serialised(message: Any, stamp_ns: int) -> bytes:
 
 
 def _detection(detection: Detection) -> pb.Detection:
-    box = detection.box_px
-    return pb.Detection(
-        label=detection.label,
-        box_px=pb.Box(x_min=box.x_min, y_min=box.y_min, x_max=box.x_max, y_max=box.y_max),
-        score=detection.score,
-        id=detection.id,
-    )
+    return pb.Detection(**vars(detection) | {"box_px": pb.Box(**vars(detection.box_px))})
 
 
 def _height_grid(grid: HeightGrid) -> pb.HeightGrid:

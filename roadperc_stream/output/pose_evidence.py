@@ -1,7 +1,7 @@
 """Findings on odometry against the poses of the log: scale, delay, and mirrored turns.
 
 Scale: distances between positions some metres apart, which the noise of single poses hardly changes. Delay: yaw rates
-of both, correlated over offsets in whole frames; the three correlations around the best one give its fraction.
+of both, correlated over offsets in whole frames.
 """
 
 import math
@@ -14,6 +14,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.output.spread import Spread, spread_of
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
 _WINDOW_M: Final = 3.0
@@ -33,7 +34,6 @@ _LEAST_TURN: Final = math.radians(10)
 _WORSE: Final = 4.0
 """Factor by which the unexplained share of the yaw rates without an offset exceeds that with the best one."""
 _UNEXPLAINED: Final = 0.005
-_LEAST_DELAY: Final = 0.5
 _POSES: Final = "the poses (role truth_pose)"
 _Pair = tuple[Float, Float]
 """Pose by odometry and pose of the log: (7,) position and quaternion x, y, z, w."""
@@ -126,16 +126,12 @@ def pose_delay(found: Float, interval_s: float) -> Finding | None:
     at_end = best in (0, len(found) - 1)
     if found[best] < _ALIKE or at_end or unexplained <= max(_UNEXPLAINED, _WORSE * least):
         return None
-    before, at, after = found[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    frames = best - _MOST_FRAMES + (float((before - after) / (2 * bend)) if bend < 0 else 0.0)
-    if abs(frames) <= _LEAST_DELAY:
-        return None
-    late = "after" if frames > 0 else "before"
+    frames = best - _MOST_FRAMES
+    apart = f"{abs(frames) * interval_s:.3f} s ({number(abs(frames), 'frame')}) {'after' if frames > 0 else 'before'}"
     return Finding(
         "pose_delay",
-        f"{_POSES} turn {abs(frames) * interval_s:.3f} s ({abs(frames):.1f} frames) {late} the images, expected within "
-        "half a frame; their stamps are those of arrival, or of another clock: correct the stamps",
+        f"{_POSES} turn {apart} the images, expected within half a frame; "
+        "their stamps are those of arrival, or of another clock: correct the stamps",
     )
 
 

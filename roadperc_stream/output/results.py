@@ -1,18 +1,16 @@
 """Encodes the results of a frame as topics and bytes."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from typing import Any, Final, get_args
+from typing import Any, Final
 
 from google.protobuf.message import DecodeError as ProtobufError
 
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.png import encode_mask
 from roadperc_stream.geometry import Float, inverse
-from roadperc_stream.geometry.planes import SurfaceModel, SurfaceSource
 from roadperc_stream.log import Channel
 from roadperc_stream.model import EGO, Absent, FrameAnchor, FrameResult, Odometry, Reason, Sample, Transform
-from roadperc_stream.model.results import BoundaryStatus, OdometryStatus
 from roadperc_stream.model.sample import LAST_ROS_STAMP_NS
 from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output import encoding
@@ -27,13 +25,6 @@ DRIVABLE_COLOURS: tuple[Colour, Colour] = ((0, 0, 0), colours.DRIVABLE)
 _COLUMNS: Final = {field.name for field in fields(FrameMetrics)}
 _LISTS: Final = {field.name for field in fields(FrameMetrics) if field.default == ()}
 _OPTIONAL: Final = {field.name for field in fields(FrameMetrics) if field.default is None}
-_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
-    "surface_source": get_args(SurfaceSource),
-    "surface_model": get_args(SurfaceModel),
-    "lane_left_status": get_args(BoundaryStatus),
-    "lane_right_status": get_args(BoundaryStatus),
-    "odometry_status": get_args(OdometryStatus),
-}
 Written = Iterator[tuple[str, bytes]]
 
 
@@ -138,7 +129,7 @@ def decode_metrics(data: bytes) -> FrameMetrics:
     """The row of a roadperc.FrameMetrics.
 
     Raises:
-        DecodeError: the bytes are invalid, a number is not finite, or a status is unknown.
+        DecodeError: the bytes are invalid, or a number is not finite.
     """
     try:
         message = row_messages.FrameMetrics.FromString(data)
@@ -149,7 +140,4 @@ def decode_metrics(data: bytes) -> FrameMetrics:
     known |= {name: getattr(message, name) for name in _COLUMNS - known.keys()}
     numbers = (*message.true_object_distances_m, *message.true_object_laterals_m)
     require_finite("metrics", *(value for value in known.values() if isinstance(value, float)), *numbers)
-    for column, words in _WORDS.items():
-        if known[column] not in (None, *words):
-            raise DecodeError(f"{column} {known[column]!r}: expected one of {', '.join(words)}")
     return FrameMetrics(**known | {"reasons": tuple(map(reason_in, message.reasons))})

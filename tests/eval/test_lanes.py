@@ -214,16 +214,16 @@ def test_lanes_are_scaled_to_size(drive, tmp_path, capsys):
 
 
 BAD = {
-    "nonsense": "expected JSON",
+    "nonsense": "Invalid JSON",
     "[1]": "expected keys with values",
     '{"raw_file": "a/1", "h_samples": [1]}': "lanes: missing",
     truth_line(1, lanes=[[1.0, 2.0]]): "lanes[0] has 2 columns; expected 56, one per h_sample",
-    truth_line(1, lanes=[], h_samples=[]): "h_samples: expected at least 1",
+    truth_line(1, lanes=[], h_samples=[]): "h_samples: List should have at least 1",
     truth_line(1, lanes=[["x"]]): "lanes[0][0]",
     truth_line(1, lanes=[[float("nan")]]): "lanes[0][0]",
     truth_line(1, lanes=[[10**400] * len(ROWS)]): "lanes[0][0]: expected less than or equal to 1000000000",
     truth_line(1, lanes=[], h_samples=[1e300]): "h_samples[0]: expected less than or equal to 1000000000",
-    truth_line(1, raw_file=3): "raw_file: expected a text",
+    truth_line(1, raw_file=3): "raw_file: expected a valid string",
     truth_line(1, raw_file="clips/20_a.jpg"): "raw_file 'clips/20_a.jpg' has no stamp; expected a stamp in ns",
     truth_line(STAMPS_NS[0]): "has the same stamp as",
 }

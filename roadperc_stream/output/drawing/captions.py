@@ -1,8 +1,7 @@
 """Places captions and labels of objects in a picture without overlap."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import chain
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from roadperc_stream.geometry import Camera
@@ -39,26 +38,31 @@ def caption_places(
     Returns:
         For each object the box of its caption, inside the picture; None if no place is free.
     """
-
-    def free_place(index: int, taken: Sequence[Box]) -> Box | None:
-        wanted = _wanted(image_size, boxes[index], text_sizes[index])
-        return next((place for place in wanted if not any(map(place.meets, taken))), None)
-
-    return _nearest_first(objects, free_place)
+    wanted = [_wanted(image_size, box, size) for box, size in zip(boxes, text_sizes, strict=True)]
+    return _nearest_first(objects, wanted)
 
 
 def _nearest_first(
-    objects: Sequence[Object], free_place: Callable[[int, Sequence[Box]], Box | None]
+    objects: Sequence[Object],
+    wanted: Sequence[Iterable[Box]],
+    others: Sequence[Sequence[Box]] | None = None,
+    gap: float = 0.0,
 ) -> tuple[Box | None, ...]:
-    """The place of each object, or None; the nearest choose first.
+    """The first wanted place of each object that is free, or None; the nearest choose first.
 
-    ``free_place`` returns the place of an object from its index and the places that are taken.
+    A place covers no other one and none of the object's ``others``, with a gap of this many heights beside it.
     """
     places: list[Box | None] = [None] * len(objects)
     taken: list[Box] = []
     for index in by_nearness(objects):
-        place = places[index] = free_place(index, taken)
-        taken += [] if place is None else [place]
+        covered = [*taken, *(others[index] if others else ())]
+        for place in wanted[index]:
+            gap_px = gap * (place.y_max - place.y_min)
+            apart = Box(place.x_min - gap_px, place.y_min, place.x_max + gap_px, place.y_max)
+            if not any(map(apart.meets, covered)):
+                places[index] = place
+                taken.append(place)
+                break
     return tuple(places)
 
 
@@ -103,16 +107,15 @@ def label_places(
         For each object the place of its label, inside the picture; None if no place is free.
     """
     kept = [(k, box) for k, (box, item) in enumerate(zip(boxes, objects, strict=True)) if item.kept]
-    rows = top_px, image_size[1]
-
-    def free_place(index: int, taken: Sequence[Box]) -> Box | None:
-        box = boxes[index]
-        covered = [*taken, *(other for k, other in kept if k != index and not _surrounds_middle(other, box))]
-        wanted = _wanted_labels(box, text_sizes[index], kept=objects[index].kept)
-        inside = (_moved_inside(place, image_size) for place in wanted)
-        return next((place for place in inside if _is_free(place, rows, covered)), None)
-
-    return _nearest_first(objects, free_place)
+    wanted = [
+        _wanted_labels(image_size, top_px, box, text_size, kept=item.kept)
+        for item, box, text_size in zip(objects, boxes, text_sizes, strict=True)
+    ]
+    others = [
+        [other for k, other in kept if k != index and not _surrounds_middle(other, box)]
+        for index, box in enumerate(boxes)
+    ]
+    return _nearest_first(objects, wanted, others, _GAP)
 
 
 def _surrounds_middle(outer: Box, box: Box) -> bool:
@@ -120,27 +123,16 @@ def _surrounds_middle(outer: Box, box: Box) -> bool:
     return outer.area > box.area and outer.x_min < x < outer.x_max and outer.y_min < y < outer.y_max
 
 
-def _wanted_labels(box: Box, text_size: Size, *, kept: bool) -> Iterator[Box]:
-    """Places for a label at a box, the best first."""
-    width, height = text_size
+def _wanted_labels(image_size: Size, top_px: float, box: Box, text_size: Size, *, kept: bool) -> Iterator[Box]:
+    """Places for a label at a box inside the picture, the best first."""
+    (columns, rows), (width, height) = image_size, text_size
     gap = _GAP * height
     above = box.y_min - height - gap
     lifted = [above - k * (height + gap) for k in range(_MOST_LIFTS + 1 if kept else 1)]
     inside = [box.y_min + gap] if box.area > _LEAST_BOX_AREAS * width * height else []
-    for y in chain(lifted, inside, [box.y_max + gap]):
+    for y in (*lifted, *inside, box.y_max + gap):
         margin = gap if y in inside else 0.0
-        for x in (box.x_min + margin, (box.x_min + box.x_max - width) / 2, box.x_max - width):
-            yield Box(x, y, x + width, y + height)
-
-
-def _moved_inside(place: Box, image_size: Size) -> Box:
-    """The place moved sideways into the picture."""
-    width = place.x_max - place.x_min
-    x = max(min(place.x_min, image_size[0] - width), 0.0)
-    return Box(x, place.y_min, x + width, place.y_max)
-
-
-def _is_free(place: Box, rows: tuple[float, float], covered: Sequence[Box]) -> bool:
-    gap = _GAP * (place.y_max - place.y_min)
-    apart = Box(place.x_min - gap, place.y_min, place.x_max + gap, place.y_max)
-    return rows[0] <= place.y_min and place.y_max <= rows[1] and not any(map(apart.meets, covered))
+        for left in (box.x_min + margin, (box.x_min + box.x_max - width) / 2, box.x_max - width):
+            x = max(min(left, columns - width), 0.0)
+            if top_px <= y and y + height <= rows:
+                yield Box(x, y, x + width, y + height)

@@ -227,7 +227,7 @@ def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_
 def _lane(side: str, status: str | None, offset_m: float | None) -> Iterator[Phrase]:
     if status is not None:
         text = status if offset_m is None else f"{offset_m:+.2f} m"
-        yield Phrase(f"lane {side} {text}", bgr(colours.BOUNDARY[status]))
+        yield Phrase(f"lane {side} {text}", bgr(colours.BOUNDARY.get(status, colours.GREY)))
 
 
 def _objects(nearest: Object | None, urgent: Object | None) -> Iterator[Phrase]:
