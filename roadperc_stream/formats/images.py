@@ -10,7 +10,7 @@ import os
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -67,7 +67,7 @@ def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     Raises:
         DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
-    return _eight_bits(data, "IMREAD_COLOR", limits)
+    return np.asarray(_pixels(data, "IMREAD_COLOR", limits), np.uint8)
 
 
 def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -76,14 +76,7 @@ def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     Raises:
         DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
-    return _eight_bits(data, "IMREAD_GRAYSCALE", limits)
-
-
-def _eight_bits(data: bytes, mode: str, limits: LimitsConfig) -> Image:
-    pixels = _pixels(data, mode, limits)
-    if pixels is None:
-        raise DecodeError(f"{len(data)} bytes are not an image{_why(data, limits)}")
-    return pixels.astype(np.uint8, copy=False)
+    return np.asarray(_pixels(data, "IMREAD_GRAYSCALE", limits), np.uint8)
 
 
 def decode_grey16(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray[np.uint16]:
@@ -93,8 +86,8 @@ def decode_grey16(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray
         DecodeError: it is another image, or its header exceeds the limits.
     """
     pixels = _pixels(data, "IMREAD_UNCHANGED", limits, ("PNG",))
-    if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DecodeError(f"{len(data)} bytes are not a whole PNG with one number of 16 bits a pixel")
+    if pixels.dtype != np.uint16 or pixels.ndim != 2:
+        raise DecodeError(f"{len(data)} bytes are not a PNG with one number of 16 bits a pixel")
     return pixels
 
 
@@ -200,28 +193,24 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
     raise DecodeError(f"{len(data)} bytes are not a complete JPEG: no size in it")
 
 
-def _why(data: bytes, limits: LimitsConfig) -> str:
-    """Pillow's reason why an image cannot be decoded; empty without one."""
-    try:
-        with _opened(data, limits) as image:
-            image.load()
-    except DecodeError as error:
-        return f": {str(error).partition(': ')[2]}" if ": " in str(error) else ""
-    return ""
+def _pixels(data: bytes, mode: str, limits: LimitsConfig, formats: tuple[str, ...] = _READ) -> NDArray[Any]:
+    """Pixels in OpenCV's ``mode``.
 
-
-def _pixels(data: bytes, mode: str, limits: LimitsConfig, formats: tuple[str, ...] = _READ) -> NDArray[Any] | None:
-    """Pixels in OpenCV's ``mode``; None if OpenCV cannot read them."""
+    Raises:
+        DecodeError: OpenCV cannot read them, with Pillow's reason; or the header exceeds the limits.
+    """
     import cv2
 
     _require_within(data, limits, formats)
     pixels = _PNG_READERS[mode](data)
-    if pixels is not None:
-        return pixels
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), getattr(cv2, mode))
-    except cv2.error:
-        return None
+    if pixels is None:
+        with suppress(cv2.error):
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), getattr(cv2, mode))
+    if pixels is None:
+        with _opened(data, limits, formats) as image:
+            image.load()
+        raise DecodeError(f"{len(data)} bytes are not an image that OpenCV can read")
+    return pixels
 
 
 def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:

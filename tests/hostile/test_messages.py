@@ -162,5 +162,5 @@ def test_messages_of_libpng_and_libjpeg_are_not_printed(tmp_path, data):
 
 @pytest.mark.promise("The terminal", "A damaged image is reported once")
 def test_a_damaged_image_is_reported_once():
-    with pytest.raises(DecodeError, match=r"bytes are not an image: .*truncated"):
+    with pytest.raises(DecodeError, match=r"bytes are not a complete PNG: .*truncated"):
         images.decode_bgr(png(320, 240)[:-40])
