@@ -1,6 +1,7 @@
 """Encodes and decodes images.
 
-OpenCV and Pillow are imported at the first decoded image. Pillow reads the header, before OpenCV decodes the pixels.
+OpenCV is imported at the first decoded image. Pillow is imported only for WebP and for what OpenCV cannot read: its
+import takes as long as a frame, so the sizes of PNG and JPEG are read here.
 Both get only PNG, JPEG and WebP: these have one size in the header, and some of Pillow's other readers start a program.
 """
 
@@ -9,7 +10,7 @@ import os
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -38,6 +39,13 @@ _FORMATS: Final[Mapping[str, bytes]] = {
 _READ: Final = ("PNG", "JPEG", "WEBP")
 _VIDEOS: Final = {"h264": r"h\.?264|avc", "h265": r"h\.?265|hevc", "av1": "av0?1", "vp9": "vp0?9", "vp8": "vp0?8"}
 """Names of video in the format of a message, by codec."""
+_PNG_SIZE: Final = struct.Struct(">16xII")
+"""Columns and rows in the header."""
+_JPEG_FRAME: Final = struct.Struct(">BBHBHH")
+"""A frame header: marker, length, bits, rows, columns."""
+_JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_BARE: Final = frozenset((0x00, 0x01, *range(0xD0, 0xD9)))
+"""Markers without a length."""
 _PALETTE_ENTRIES: Final = 256
 _PNG_READERS: Final[Mapping[str, Callable[[bytes], NDArray[Any] | None]]] = {
     "IMREAD_COLOR": png.bgr,
@@ -49,8 +57,6 @@ UNKNOWN_MM: Final = 0
 DEPTH_LIMIT_MM: Final = 65535
 _ROWS_AT_ONCE: Final = 32
 """Rows of a depth image that fit into the processor's cache."""
-_LAST_UPRIGHT: Final = 4
-"""Larger EXIF orientations swap rows and columns."""
 
 
 def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -59,7 +65,7 @@ def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     Raises:
         DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
-    return _eight_bits(data, "IMREAD_COLOR", limits)
+    return np.asarray(_pixels(data, "IMREAD_COLOR", limits), np.uint8)
 
 
 def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -68,14 +74,7 @@ def decode_grey(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
     Raises:
         DecodeError: OpenCV cannot read the image, or its header exceeds the limits.
     """
-    return _eight_bits(data, "IMREAD_GRAYSCALE", limits)
-
-
-def _eight_bits(data: bytes, mode: str, limits: LimitsConfig) -> Image:
-    pixels = _pixels(data, mode, limits)
-    if pixels is None:
-        raise DecodeError(f"{len(data)} bytes are not an image{_why(data, limits)}")
-    return pixels.astype(np.uint8, copy=False)
+    return np.asarray(_pixels(data, "IMREAD_GRAYSCALE", limits), np.uint8)
 
 
 def decode_grey16(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray[np.uint16]:
@@ -85,8 +84,8 @@ def decode_grey16(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> NDArray
         DecodeError: it is another image, or its header exceeds the limits.
     """
     pixels = _pixels(data, "IMREAD_UNCHANGED", limits, ("PNG",))
-    if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DecodeError(f"{len(data)} bytes are not a whole PNG with one number of 16 bits a pixel")
+    if pixels.dtype != np.uint16 or pixels.ndim != 2:
+        raise DecodeError(f"{len(data)} bytes are not a PNG with one number of 16 bits a pixel")
     return pixels
 
 
@@ -111,17 +110,18 @@ def video_codec(layout: str) -> str:
     return next((codec for codec, names in _VIDEOS.items() if re.search(names, layout, re.IGNORECASE)), "")
 
 
-def image_size(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[int, int]:
-    """Columns and rows of an encoded image by its header, in OpenCV's orientation.
+def _format_among(formats: tuple[str, ...], data: bytes) -> str:
+    """Name of an image's format.
 
     Raises:
-        DecodeError: not an image, or its size exceeds the limits.
+        DecodeError: not an image of one of the formats.
     """
-    from PIL import ExifTags
-
-    with _opened(data, limits) as image:
-        orientation = image.getexif().get(ExifTags.Base.Orientation, 1) if "exif" in image.info else 1
-        return (image.height, image.width) if orientation > _LAST_UPRIGHT else (image.width, image.height)
+    name = format_of(data)
+    if not name:
+        raise DecodeError(f"{len(data)} bytes are not an image" + f", they start with {data[:4].hex()}" * bool(data))
+    if name not in formats:
+        raise DecodeError(f"image of format {name}: expected {', '.join(formats).lower()}; convert it")
+    return name
 
 
 @contextmanager
@@ -134,11 +134,7 @@ def _opened(data: bytes, limits: LimitsConfig, formats: tuple[str, ...] = _READ)
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
-    name = format_of(data)
-    if not name:
-        raise DecodeError(f"{len(data)} bytes are not an image" + f", they start with {data[:4].hex()}" * bool(data))
-    if name not in formats:
-        raise DecodeError(f"image of format {name}: expected {', '.join(formats).lower()}; convert it")
+    name = _format_among(formats, data)
     Pillow.MAX_IMAGE_PIXELS = None  # the limits replace it
     try:
         with Pillow.open(io.BytesIO(data), formats=(name,)) as image:
@@ -150,28 +146,56 @@ def _opened(data: bytes, limits: LimitsConfig, formats: tuple[str, ...] = _READ)
         raise DecodeError(f"{len(data)} bytes are not a complete {name}: {error}") from error
 
 
-def _why(data: bytes, limits: LimitsConfig) -> str:
-    """Pillow's reason why an image cannot be decoded; empty without one."""
-    try:
-        with _opened(data, limits) as image:
-            image.load()
-    except DecodeError as error:
-        return f": {str(error).partition(': ')[2]}" if ": " in str(error) else ""
-    return ""
+def _require_within(data: bytes, limits: LimitsConfig, formats: tuple[str, ...]) -> None:
+    """Check format and size against the limits.
+
+    Raises:
+        DecodeError: not an image of one of the formats, or its size exceeds the limits.
+    """
+    name = _format_among(formats, data)
+    if name == "PNG" and len(data) >= _PNG_SIZE.size:
+        width, height = _PNG_SIZE.unpack_from(data)
+        require_pixels("image", width, height, limits)
+    elif name == "JPEG":
+        require_pixels("image", *_jpeg_size(data), limits)
+    else:
+        with _opened(data, limits):
+            pass
 
 
-def _pixels(data: bytes, mode: str, limits: LimitsConfig, formats: tuple[str, ...] = _READ) -> NDArray[Any] | None:
-    """Pixels in OpenCV's ``mode``; None if OpenCV cannot read them."""
+def _jpeg_size(data: bytes) -> tuple[int, int]:
+    """Columns and rows in the first frame header (SOF, ITU T.81 B.2.2).
+
+    Raises:
+        DecodeError: no frame header.
+    """
+    at = 2
+    while (at := data.find(b"\xff", at)) >= 0 and at + _JPEG_FRAME.size <= len(data):
+        _, marker, length, _, height, width = _JPEG_FRAME.unpack_from(data, at)
+        if marker in _JPEG_FRAMES:
+            return width, height
+        at += 1 if marker == 0xFF else 2 if marker in _JPEG_BARE else 2 + length
+    raise DecodeError(f"{len(data)} bytes are not a complete JPEG: no size in it")
+
+
+def _pixels(data: bytes, mode: str, limits: LimitsConfig, formats: tuple[str, ...] = _READ) -> NDArray[Any]:
+    """Pixels in OpenCV's ``mode``.
+
+    Raises:
+        DecodeError: OpenCV cannot read them, with Pillow's reason; or the header exceeds the limits.
+    """
     import cv2
 
-    with _opened(data, limits, formats):
-        pixels = _PNG_READERS[mode](data)
-    if pixels is not None:
-        return pixels
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), getattr(cv2, mode))
-    except cv2.error:
-        return None
+    _require_within(data, limits, formats)
+    pixels = _PNG_READERS[mode](data)
+    if pixels is None:
+        with suppress(cv2.error):
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), getattr(cv2, mode))
+    if pixels is None:
+        with _opened(data, limits, formats) as image:
+            image.load()
+        raise DecodeError(f"{len(data)} bytes are not an image that OpenCV can read")
+    return pixels
 
 
 def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -181,10 +205,11 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
         DecodeError: not an image, no indices, or the header exceeds the limits.
     """
     # Only PNG: the grey values of a JPEG are not tags.
+    _require_within(data, limits, ("PNG",))
+    tags = png.indices(data)
+    if tags is not None:
+        return tags
     with _opened(data, limits, ("PNG",)) as image:
-        tags = png.indices(data)
-        if tags is not None:
-            return tags
         if image.mode not in ("P", "L"):
             raise DecodeError(f"image of mode {image.mode}: expected palette indices (P) or grey tags (L)")
         return np.array(image)

@@ -41,7 +41,7 @@ def _print_joined(console: Console, logs: Sequence[LogFacts], overrides: Mapping
         for span in spans
     )
     print_table(console, TextTable("As files of one log", ("from s", "to s"), rows))
-    lines = (*filter(None, joins(spans)), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
+    lines = (*joins(spans), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
     print_lines(console, "", *lines)
     if not any(facts.provenance for facts in logs):
         print_roles(console, roles_of(_channels(logs), overrides).states)

@@ -84,11 +84,11 @@ def camera_image(name: str, pixels: ArrayLike, camera: Camera) -> CameraImage:
         ValueError: the pixels have another size or type.
     """
     found = _of_size(name, pixels, [camera.size, (*camera.size, 3)])
-    image = _bytes(name, found)
     if found.dtype != np.uint8:  # 0 to 255 of 65535 is nearly black
         raise ValueError(
             f"{name}: expected uint8, found {found.dtype}; scale it to 0 to 255, then pass astype(np.uint8)"
         )
+    image: Image = np.array(found, order="C")
     return CameraImage(
         camera.frame_id, _converted(image, cv2.COLOR_GRAY2BGR, 2), _converted(image, cv2.COLOR_BGR2GRAY, 3)
     )
@@ -103,7 +103,10 @@ def tag_image(pixels: ArrayLike, camera: Camera, table: TagTable | None) -> TagI
     """
     if table is None:
         raise ConfigError("tags: no tag table; pass one, such as Chain(camera, tag_table='0.9.15')")
-    tags = _bytes("tags", _of_size("tags", pixels, [camera.size]))
+    found = _of_size("tags", pixels, [camera.size])
+    if not np.issubdtype(found.dtype, np.integer) or not 0 <= found.min() <= found.max() <= 255:
+        raise ValueError(f"tags: expected integers of 0 to 255, found {found.dtype}, {found.min()} to {found.max()}")
+    tags: Image = np.array(found, np.uint8, order="C")
     return TagImage(camera.frame_id, table, lambda: tags)
 
 
@@ -148,15 +151,6 @@ def _of_size(name: str, pixels: ArrayLike, shapes: list[tuple[int, ...]]) -> NDA
     if found.shape not in shapes:
         raise ValueError(f"{name}: expected {' or '.join(map(str, shapes))} of the camera, found {found.shape}")
     return found
-
-
-def _bytes(name: str, found: NDArray[Any]) -> Image:
-    """A uint8 copy of the caller's pixels, which may have any integer type with values of 0 to 255."""
-    if not np.issubdtype(found.dtype, np.integer):
-        raise ValueError(f"{name}: expected uint8, found {found.dtype}")
-    if found.dtype != np.uint8 and not (found.min() >= 0 and found.max() <= 255):
-        raise ValueError(f"{name}: expected 0 to 255, found {found.min()} to {found.max()}")
-    return np.array(found, np.uint8, order="C")
 
 
 def _converted(image: Image, conversion: int, dimensions: int) -> Callable[[], Image]:

@@ -114,24 +114,18 @@ def file_notes(summary: LogSummary, topic: str) -> tuple[str, ...]:
         for file in summary.files
         if file.first_ns is not None and file.last_ns is not None and any(file.counts.values())
     ]
-    joined = [text for text in joins(spans) if text]
+    joined = tuple(joins(spans))
     more = (f"{len(joined) - _MOST_NAMED} more files leave gaps or overlap",) if len(joined) > _MOST_NAMED else ()
     differing = (*_differing("attachment", summary.attachments), *_differing("metadata", summary.metadata))
     return (*joined[:_MOST_NAMED], *more, *(differing if summary.files else ()))
 
 
-def joins(files: Sequence[FileSpan]) -> list[str]:
-    """A text for each file that has a gap or overlap to earlier files, else an empty one.
-
-    ``files`` are sorted by first log time.
-    """
+def joins(files: Sequence[FileSpan]) -> Iterator[str]:
+    """A text for each file that has a gap or overlap to earlier files; ``files`` are sorted by first log time."""
     least_gap_ns = _GAP_INTERVALS * _interval_ns(files)
-    latest: FileSpan | None = None
-    texts = []
-    for file in files:
-        texts.append("" if latest is None else _join(latest, file, least_gap_ns))
-        latest = file if latest is None or file.last_ns > latest.last_ns else latest
-    return texts
+    for number, file in enumerate(files[1:], 1):
+        if text := _join(max(files[:number], key=lambda before: before.last_ns), file, least_gap_ns):
+            yield text
 
 
 def _join(before: FileSpan, file: FileSpan, least_gap_ns: float) -> str:

@@ -276,7 +276,7 @@ class ReplayInput:
             return ()
         frames = counted_topics(lead.summary)[self.topics[self.plan.order.reference]]
         before = FileSpan("the continued result", lead.summary.first_ns or 0, lead.end_ns - 1, frames)
-        return tuple(filter(None, joins([before, FileSpan(str(self.summary.path), *self.span_ns, frames=0)])))
+        return tuple(joins([before, FileSpan(str(self.summary.path), *self.span_ns, frames=0)]))
 
     @property
     def chosen_topics(self) -> dict[str, str]:

@@ -85,29 +85,18 @@ class TransformTree:
         """
         edges = tuple(edges)
         parents, found = {edge.child: edge.parent for edge in edges}, set[str]()
-        while loops := _in_loops(parents, self.edges):
+        while loops := {child for child in parents if self._is_own_ancestor(child, parents)}:
             found |= loops
             parents = {child: parent for child, parent in parents.items() if child not in loops}
         return tuple(dict.fromkeys(edge.child for edge in edges if edge.child in found))
 
-
-def _in_loops(parents: Mapping[str, str], placed: Mapping[str, Transform]) -> set[str]:
-    """The frames that are their own ancestors, among the ancestors of the frames in ``parents``.
-
-    ``parents`` replace those in the tree; ``placed`` are the tree's edges, of which only the ancestors are visited.
-    """
-    found, done = set[str](), set[str]()
-    for start in parents:
-        path: dict[str, None] = {}
-        at = start
-        while (at in parents or at in placed) and at not in done and at not in path:
-            path[at] = None
-            at = parents[at] if at in parents else placed[at].parent
-        done |= path.keys()
-        if at in path:
-            frames = list(path)
-            found.update(frames[frames.index(at) :])
-    return found
+    def _is_own_ancestor(self, frame: str, parents: Mapping[str, str]) -> bool:
+        """Whether the ancestors of a frame lead back to it; ``parents`` replace those in the tree."""
+        at, passed = frame, set[str]()
+        while at not in passed and (at in parents or at in self.edges):
+            passed.add(at)
+            at = parents[at] if at in parents else self.edges[at].parent
+        return bool(passed) and at == frame
 
 
 @dataclass(frozen=True)

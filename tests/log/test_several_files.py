@@ -165,8 +165,8 @@ def test_gaps_and_overlaps_are_reported():
     spans = [
         FileSpan(name, a * S, b * S, 11) for name, a, b in [("a", 0, 10), ("b", 11, 20), ("c", 15, 18), ("d", 23, 33)]
     ]
-    assert joins(spans) == ["", "", "c: overlaps b by 3.000 s", "d: begins 3.000 s after b ends"]
-    assert joins([FileSpan("a", 0, 1, 1), FileSpan("b", 1, 2, 0)]) == ["", ""]
+    assert list(joins(spans)) == ["c: overlaps b by 3.000 s", "d: begins 3.000 s after b ends"]
+    assert not list(joins([FileSpan("a", 0, 1, 1), FileSpan("b", 1, 2, 0)]))
 
 
 def test_a_replay_reports_gaps_between_files(tmp_path, capsys):
