@@ -130,7 +130,7 @@ class GrowingLog:
             with self._lock, self.path.open("rb") as stream:
                 stream.seek(chunk.chunk_start_offset)
                 data = stream.read(chunk.chunk_length)
-            for item in records_in(unpacked(chunk_of(data)).data):
+            for item in records_in(unpacked(chunk_of(data))):
                 if item.opcode == Opcode.MESSAGE:
                     head = message_head(item.body)
                     yield head.of(self._channels[head.channel_id], item.body)

@@ -11,7 +11,6 @@ from mcap.exceptions import McapError
 
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log.layout import ChunkHead
-from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 from roadperc_stream.log.stored import LogFile
 
 _ALWAYS_BYTES: Final = 1024 * 1024
@@ -75,17 +74,6 @@ def require_attachments(size_bytes: int, limits: LimitsConfig) -> None:
     """
     if size_bytes > limits.record_bytes:
         raise LimitError(_beyond("attachments and metadata", size_bytes, "record_mb", limits.record_bytes))
-
-
-def require_gaps(metadata: Metadata, limits: LimitsConfig) -> None:
-    """Check the number of gaps in a recovery record before it is decoded.
-
-    Raises:
-        LimitError: it exceeds the limit.
-    """
-    found = dict(metadata.values).get("gaps", "").count("[") - 1
-    if metadata.name == RECOVERY_RECORD and found > limits.gaps:
-        raise LimitError(f"metadata {RECOVERY_RECORD} with {found} gaps: expected {limits.gaps} at most")
 
 
 def _beyond(what: str, size_bytes: int, setting: str, most_bytes: int) -> str:

@@ -16,6 +16,7 @@ from mcap.opcode import Opcode
 from zstandard import ZstdCompressor
 
 from roadperc_stream.log import layout
+from roadperc_stream.log.chunks import unpacked
 from roadperc_stream.log.records import Message
 
 _CRC_AT: Final = layout.RECORD.size + layout.CHUNK.size - 2 * layout.CRC_BYTES
@@ -42,9 +43,11 @@ class ChunkRecords:
         """The message indexes behind it."""
         return layout.message_indexes(self.indexes)
 
-    def with_crc(self, crc: int) -> "ChunkRecords":
-        """Return the chunk with another CRC of its data."""
-        record = bytearray(self.record)
+    def with_crc(self) -> "ChunkRecords":
+        """Return the chunk with a CRC of its data, if it has none."""
+        if self.head.crc:
+            return self
+        record, crc = bytearray(self.record), crc32(unpacked(self.head))
         record[_CRC_AT : _CRC_AT + layout.CRC_BYTES] = crc.to_bytes(layout.CRC_BYTES, "little")
         return ChunkRecords(bytes(record), self.indexes)
 

@@ -32,7 +32,7 @@ from roadperc_stream.log.damage import (
 )
 from roadperc_stream.log.index import Described, share_channels, summary_of
 from roadperc_stream.log.layout import MAGIC, MESSAGE, NAMES, RECORD, Record
-from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk, require_gaps
+from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.stored import AnyLog, LogFile
 from roadperc_stream.system.time import ns_to_seconds
@@ -489,8 +489,6 @@ class Salvage:
         self.described.add(item, in_data=self._in_data)
         if isinstance(item, records.Statistics):
             self._statistics = start, item
-        if isinstance(item, records.Metadata):
-            require_gaps(self.described.metadata[-1], self.limits)
 
     def _conclude(self) -> None:
         """Compare the statistics with what was read, and find optional parts that the writer left out."""

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -60,12 +60,6 @@ class Recovery:
         """Return the recovery with an end for gaps without one, except gaps that begin later."""
         return self if last_ns is None else replace(self, gaps=tuple(gap.ending(last_ns) for gap in self.gaps))
 
-    def of_at_most(self, gaps: int) -> "Recovery":
-        """Return the recovery with at most this number of gaps; the last one covers the rest."""
-        if len(self.gaps) <= gaps:
-            return self
-        return replace(self, gaps=(*self.gaps[: gaps - 1], reduce(LostSpan.with_more, self.gaps[gaps - 1 :])))
-
     def lines(self, first_ns: int | None) -> Iterator[str]:
         """Yield one line for all losses, then one for each of the first gaps; seconds count from ``first_ns``."""
         yield f"{self.saved} messages saved, {'others are lost' if self.gaps else 'no loss found'}"
@@ -109,7 +103,7 @@ def _repaired(source: LogFile, writer_of: Callable[[str], LogWriter], limits: Li
         earlier = Recovery.of_records(described.metadata) or Recovery(0)
         recovery = Recovery(salvage.counts.total(), salvage.losses.gaps)
         if not salvage.whole:
-            recovery = replace(recovery, gaps=(*earlier.gaps, *recovery.gaps)).of_at_most(limits.gaps)
+            recovery = replace(recovery, gaps=(*earlier.gaps, *recovery.gaps))
         for metadata in described.metadata:
             if salvage.whole or metadata.name != RECOVERY_RECORD:
                 writer.describe(metadata)
