@@ -1,24 +1,21 @@
 """Reads everything in a log except messages: index, header, schemas, channels, attachments and metadata."""
 
 import heapq
-import os
-from collections.abc import Collection, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final, TypeVar
 
 from mcap import records
-from mcap.exceptions import McapError
-from mcap.reader import FOOTER_SIZE
+from mcap.reader import make_reader
 from mcap.records import Channel as McapChannel
-from mcap.records import ChunkIndex, McapRecord
+from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
-from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 
 from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.layout import MAGIC, UNREADABLE
+from roadperc_stream.log.layout import UNREADABLE
 from roadperc_stream.log.limits import GuardedFile
 from roadperc_stream.log.records import Attachment, Channel, Metadata
 from roadperc_stream.log.stored import LogFile
@@ -70,20 +67,14 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     return Channel(channel.topic, channel.message_encoding, *described, labels, channel.id, channel.schema_id)
 
 
-def summary_of(stream: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield the records of a file's summary, up to the first that cannot be read; none without a footer."""
-    with suppress(OSError, *UNREADABLE):  # an error of the disk comes again in reading
-        yield from _whole_summary_of(stream)
+def summary_of(stream: IO[bytes]) -> Summary:
+    """Return the summary section of a file; empty if it has none.
 
-
-def _whole_summary_of(stream: IO[bytes]) -> Iterator[McapRecord]:
-    stream.seek(-FOOTER_SIZE - len(MAGIC), os.SEEK_END)
-    footer = next(StreamReader(stream, skip_magic=True).records)
-    if not isinstance(footer, records.Footer):
-        raise McapError("no footer: its end is cut or damaged")
-    if footer.summary_start:
-        stream.seek(footer.summary_start)
-        yield from StreamReader(stream, skip_magic=True, emit_chunks=True).records
+    Raises:
+        UNREADABLE: the end of the file is cut or damaged.
+    """
+    stream.seek(0)
+    return make_reader(stream).get_summary() or Summary()
 
 
 def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
@@ -92,15 +83,13 @@ def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
     Raises:
         LogError: the file cannot be read, is not MCAP, or its end is cut or damaged.
     """
-    found, names = Described(), list[str]()
     try:
         with GuardedFile(LogFile.of(path), DEFAULT_LIMITS) as stream:
-            for item in _whole_summary_of(stream):
-                found.add(item, in_data=False)
-                names += [item.name] if isinstance(item, records.MetadataIndex) else []
+            found = summary_of(stream)
     except (OSError, *UNREADABLE) as error:
         raise LogError(f"{path}: {error}") from error
-    return tuple(names), tuple(found.channels.values())
+    channels = (channel_of(channel, found.schemas.get(channel.schema_id)) for channel in found.channels.values())
+    return tuple(item.name for item in found.metadata_indexes), tuple(channels)
 
 
 @dataclass

@@ -21,7 +21,7 @@ from roadperc_stream.log.records import Message
 
 _CRC_AT: Final = layout.RECORD.size + layout.CHUNK.size - 2 * layout.CRC_BYTES
 """Offset in the record of a chunk."""
-_COMPRESSION: Final = b"zstd"
+_COMPRESSION: Final = "zstd"
 _LEVEL: Final = 1
 """Takes a third of the time of zstandard's default, for 4 % more bytes."""
 
@@ -77,19 +77,11 @@ class OpenChunk:
     def records(self) -> ChunkRecords:
         """Return the chunk to write."""
         data = b"".join(self._pieces)
-        stored = ZstdCompressor(level=_LEVEL).compress(data)
         times = [time_ns for entries in self._entries.values() for time_ns, _ in entries]
-        fields = layout.CHUNK.pack(min(times), max(times), len(data), crc32(data), len(_COMPRESSION))
-        record = _record(Opcode.CHUNK, fields, _COMPRESSION, layout.LENGTH.pack(len(stored)), stored)
-        indexes = b""
-        for channel_id, entries in self._entries.items():
-            body = b"".join(layout.ENTRY.pack(*entry) for entry in entries)
-            indexes += _record(Opcode.MESSAGE_INDEX, layout.INDEX.pack(channel_id, len(body)), body)
-        return ChunkRecords(record, indexes)
-
-
-def _record(opcode: int, *fields: bytes) -> bytes:
-    return b"".join((layout.RECORD.pack(opcode, sum(map(len, fields))), *fields))
+        stored = ZstdCompressor(level=_LEVEL).compress(data)
+        chunk = records.Chunk(_COMPRESSION, stored, max(times), min(times), crc32(data), len(data))
+        indexes = [records.MessageIndex(*of_channel) for of_channel in self._entries.items()]
+        return ChunkRecords(_bytes_of([chunk]), _bytes_of(indexes))
 
 
 class McapFile:

@@ -6,6 +6,7 @@ record starts. Format: https://mcap.dev/spec.
 """
 
 import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from typing import IO, Final, Self
 from deflate import crc32
 from mcap import records
 from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
@@ -52,7 +54,6 @@ _FAR_NS: Final = 24 * 3600 * 1_000_000_000
 _FIELDS_BYTES: Final = 64
 """More than the fields of a chunk."""
 _CHUNK: Final = rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))"
-_CHUNKS: Final = re.compile(_CHUNK, re.DOTALL)
 _BESIDE_CHUNKS: Final = re.compile(_CHUNK + rb"|(?=[\x09\x0c].{5}\x00{3})", re.DOTALL)
 """First bytes of a chunk, or of a record between chunks; lengths are below 2^40 bytes."""
 _ANYWHERE: Final = re.compile(_CHUNK + rb"|(?=[\x03\x04\x05\x09\x0c].{5}\x00{3})", re.DOTALL)
@@ -84,11 +85,6 @@ class _Search:
             if end and self._data[start] == Opcode.MESSAGE:
                 alone = start, end
         return None if alone is None else alone[0]
-
-    def has_chunk(self, at: int) -> bool:
-        """Return whether a chunk starts behind a byte."""
-        ends = (self._end(found.start()) for found in _CHUNKS.finditer(self._data, at))
-        return any(is_certain or (end and self._leads_on(end)) for end, is_certain in ends)
 
     def _end(self, start: int) -> tuple[int, bool]:
         """Return the byte behind a likely record, 0 if it is none, and whether its fields alone make that certain."""
@@ -204,7 +200,6 @@ class Salvage:
         self._without_crc = self._held_bytes = 0
         self._in_data, self._is_sealed, self._is_ended = True, False, False
         self._search: _Search | None = None
-        self._is_chunked = False
         self._doubted: int | None = None
         """First byte of a record that may be a message with a damaged opcode, if no CRC says that it is none."""
         try:
@@ -217,18 +212,16 @@ class Salvage:
 
     def _read_summary(self, stream: IO[bytes]) -> None:
         """Take descriptions and the chunk index from the summary: those in the data may be damaged."""
-        data_end = 0
-        with suppress(ValueError):  # comes again in reading
-            for item in summary_of(stream):
-                match item:
-                    case records.ChunkIndex() if item.message_start_time <= item.message_end_time:
-                        self._indexed[item.chunk_start_offset] = item
-                    case records.Schema() | records.Channel():
-                        self.described.add(item, in_data=False)
-                    case records.Footer():
-                        data_end = item.summary_start
-        stream.seek(max(data_end - layout.CRC_BYTES, 0))
-        self.has_data_crc = bool(data_end) and any(stream.read(layout.CRC_BYTES))
+        with suppress(OSError, *layout.UNREADABLE):  # comes again in reading
+            found = summary_of(stream)
+            for item in (*found.schemas.values(), *found.channels.values()):
+                self.described.add(item, in_data=False)
+            chunks = (chunk for chunk in found.chunk_indexes if chunk.message_start_time <= chunk.message_end_time)
+            self._indexed = {chunk.chunk_start_offset: chunk for chunk in chunks}
+            stream.seek(-FOOTER_SIZE - len(MAGIC), os.SEEK_END)
+            footer = layout.parse(Opcode.FOOTER, stream.read(FOOTER_SIZE)[RECORD.size :])
+            stream.seek(footer.summary_start - layout.CRC_BYTES)
+            self.has_data_crc = any(stream.read(layout.CRC_BYTES))
 
     @property
     def last_ns(self) -> int | None:
@@ -326,10 +319,8 @@ class Salvage:
         """Return the next place where a record starts; None behind the data section."""
         if not self._in_data:
             return None
-        if self._search is None:
-            self._search = _Search(stream, self._is_message)
-            self._is_chunked = bool(self.chunks or self._indexed) or self._search.has_chunk(at)
-        return self._search.next_record(at, chunked=self._is_chunked)
+        self._search = self._search or _Search(stream, self._is_message)
+        return self._search.next_record(at, chunked=bool(self.chunks or self._indexed))
 
     def _lose(self, at: int, fault: str) -> None:
         """Note a place without a record; behind the data section no message is lost."""

@@ -36,7 +36,9 @@ class LogWriter:
     profile: str = ""
     library: str = f"roadperc_stream {__version__}"
     """The program in the header."""
-    messages: int = 0
+    file: IO[bytes] | None = field(default=None, kw_only=True)
+    """An unnamed file of the caller to write to; ``path`` is then only its name in errors."""
+    messages: int = field(default=0, kw_only=True)
     """Number of written messages."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
     _schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
@@ -54,12 +56,14 @@ class LogWriter:
         return self
 
     def _open(self) -> IO[bytes]:
+        if self.file is not None:
+            return os.fdopen(os.dup(self.file.fileno()), "wb")
         self.path.parent.mkdir(parents=True, exist_ok=True)
         remove_stale_partials(self.path)
         return self._temporary.open("wb")
 
     def _errors(self) -> AbstractContextManager[None]:
-        return target_errors(self.path)
+        return storing(str(self.path)) if self.file is not None else target_errors(self.path)
 
     def write(self, message: Message) -> None:
         """Append a message; its channel and schema are registered at their first use.
@@ -198,32 +202,13 @@ class LogWriter:
         require_uninterrupted()
         if self._growing is not None:
             self._growing.finish(self._temporary, self.path)
-        else:
+        elif self.file is None:
             self._temporary.replace(self.path)
 
     def discard(self) -> None:
         """Remove the partial file, if it can be removed."""
         with suppress(OSError):
             self._temporary.unlink(missing_ok=True)
-
-
-@dataclass
-class StoredLogWriter(LogWriter):
-    """Writes a log to an unnamed file that the caller owns; ``path`` is its name in errors."""
-
-    file: IO[bytes] = field(kw_only=True)
-
-    def _open(self) -> IO[bytes]:
-        return os.fdopen(os.dup(self.file.fileno()), "wb")
-
-    def _errors(self) -> AbstractContextManager[None]:
-        return storing(str(self.path))
-
-    def _name(self) -> None:
-        """Do nothing: the file stays unnamed."""
-
-    def discard(self) -> None:
-        """Do nothing: the system removes the file when it is closed."""
 
 
 class MessageCopy:

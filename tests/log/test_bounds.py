@@ -15,7 +15,6 @@ from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.source import LossTimes
 from roadperc_stream.log import Attachment, Channel, LostSpan, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
-from roadperc_stream.log.writing import StoredLogWriter
 from tests.arranged import by_us
 from tests.log.test_pipes import fed
 from tests.test_sample import SAMPLE
@@ -52,17 +51,17 @@ def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
     temporary, seen = tmp_path / "temporary", []
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    complete = StoredLogWriter.complete
+    complete = log.LogWriter.complete
 
     def watched(writer):
         seen.append(list(temporary.iterdir()))
         complete(writer)
 
-    monkeypatch.setattr(StoredLogWriter, "complete", watched)
+    monkeypatch.setattr(log.LogWriter, "complete", watched)
     copy = log.repaired_copy(log.LogFile.of(source))
     repaired = tmp_path / "repaired.mcap"
     log.write_repaired(source, repaired)
-    assert seen == [[]]
+    assert seen == [[], []]
     assert (list(temporary.iterdir()), sorted(tmp_path.iterdir())) == ([], sorted([source, repaired, temporary]))
     with copy.file.path.open("rb") as stream:
         assert stream.read() == repaired.read_bytes()
