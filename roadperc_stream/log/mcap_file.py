@@ -38,11 +38,6 @@ class ChunkRecords:
         """The fields of the chunk."""
         return layout.chunk_of(self.record)
 
-    @property
-    def message_indexes(self) -> list[layout.MessageIndex]:
-        """The message indexes behind it."""
-        return layout.message_indexes(self.indexes)
-
     def with_crc(self) -> "ChunkRecords":
         """Return the chunk with a CRC of its data, if it has none."""
         if self.head.crc:
@@ -97,7 +92,8 @@ class McapFile:
         self._last_ns = 0
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
-        self._counts = Counter[int]()
+        self.counts = Counter[int]()
+        """Messages by channel."""
         self._write(layout.MAGIC)
         self._add(records.Header(profile, library))
 
@@ -127,9 +123,10 @@ class McapFile:
         head, start = chunk.head, self._stream.tell()
         entry = layout.entry_of(head, start, len(chunk.record) - layout.RECORD.size)
         entry.message_index_length = len(chunk.indexes)
-        for index in chunk.message_indexes:
-            entry.message_index_offsets[index.channel_id] = start + len(chunk.record) + index.offset
-            self._counts[index.channel_id] += len(index.entries)
+        for item in layout.records_in(chunk.indexes):
+            channel_id, messages = layout.message_index(item.body)
+            entry.message_index_offsets[channel_id] = start + len(chunk.record) + item.start
+            self.counts[channel_id] += len(messages)
         self._write(chunk.record)
         self._write(chunk.indexes)
         entry.write(self._chunk_index)
@@ -165,9 +162,9 @@ class McapFile:
         return records.Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
+            channel_message_counts=dict(self.counts),
             chunk_count=self._chunks,
-            message_count=self._counts.total(),
+            message_count=self.counts.total(),
             message_end_time=self._last_ns,
             message_start_time=self._first_ns or 0,
             metadata_count=len(self._metadata),

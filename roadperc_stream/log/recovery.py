@@ -141,10 +141,10 @@ class _Chunk:
 
     def add(self, record: Record) -> None:
         """Add a message index."""
-        index = layout.message_index(record.body)
-        self.entry.message_index_offsets[index.channel_id] = record.start
+        channel_id, places = layout.message_index(record.body)
+        self.entry.message_index_offsets[channel_id] = record.start
         self.entry.message_index_length += record.end - record.start
-        self.listed += ((index.channel_id, *place) for place in index.entries)
+        self.listed += ((channel_id, *place) for place in places)
 
 
 @dataclass

@@ -38,8 +38,6 @@ class LogWriter:
     """The program in the header."""
     file: IO[bytes] | None = field(default=None, kw_only=True)
     """An unnamed file of the caller to write to; ``path`` is then only its name in errors."""
-    messages: int = field(default=0, kw_only=True)
-    """Number of written messages."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
     _schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     """Name, encoding and data, by their ids."""
@@ -62,6 +60,11 @@ class LogWriter:
         remove_stale_partials(self.path)
         return self._temporary.open("wb")
 
+    @property
+    def messages(self) -> int:
+        """Number of messages in the written chunks."""
+        return self._file.counts.total()
+
     def _errors(self) -> AbstractContextManager[None]:
         return storing(str(self.path)) if self.file is not None else target_errors(self.path)
 
@@ -72,7 +75,6 @@ class LogWriter:
             TargetError: the log cannot be written, for example on a full disk; the other methods raise it too.
         """
         channel_id = self.register(message.channel)
-        self.messages += 1
         self._chunk.add(channel_id, message)
         if self._growing is not None:
             self._growing.append(message)
@@ -93,7 +95,6 @@ class LogWriter:
         """
         self.end_chunk()
         self._add_chunk(chunk)
-        self.messages += sum(len(index.entries) for index in chunk.message_indexes)
         if self._growing is not None:
             last_ns = chunk.head.last_ns
             self._growing.reach(last_ns if reached_ns is None else min(reached_ns, last_ns))

@@ -67,7 +67,7 @@ def written(path, *chunks, outside=()):
             file.add_chunk(chunk)
         for time, data in outside:
             file._add(records.Message(channel_id=1, log_time=time, publish_time=time, sequence=0, data=data))
-            file._counts[1] += 1
+            file.counts[1] += 1
             file._last_ns = max(file._last_ns, time)
         file.finish()
     return path
