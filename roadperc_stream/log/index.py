@@ -1,24 +1,25 @@
 """Reads everything in a log except messages: index, header, schemas, channels, attachments and metadata."""
 
 import heapq
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final, TypeVar
 
 from mcap import records
-from mcap.reader import make_reader
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel as McapChannel
-from mcap.records import ChunkIndex
+from mcap.records import ChunkIndex, McapRecord
 from mcap.records import Schema as McapSchema
-from mcap.summary import Summary
 
-from roadperc_stream.config import DEFAULT_LIMITS
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.layout import UNREADABLE
-from roadperc_stream.log.limits import GuardedFile
+from roadperc_stream.log.layout import MAGIC, PARSED, RECORD, UNREADABLE, parse, records_in
+from roadperc_stream.log.limits import require_record
 from roadperc_stream.log.records import Attachment, Channel, Metadata
-from roadperc_stream.log.stored import LogFile
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Most memory for messages while a log is put in order by its index; beyond, it is sorted on disk."""
@@ -67,14 +68,24 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     return Channel(channel.topic, channel.message_encoding, *described, labels, channel.id, channel.schema_id)
 
 
-def summary_of(stream: IO[bytes]) -> Summary:
-    """Return the summary section of a file; empty if it has none.
+def summary_of(stream: IO[bytes], limits: LimitsConfig) -> tuple[int, list[McapRecord]]:
+    """Return the first byte of a file's summary section, and its records; 0 and none without one.
 
     Raises:
         UNREADABLE: the end of the file is cut or damaged.
     """
-    stream.seek(0)
-    return make_reader(stream).get_summary() or Summary()
+    end = stream.seek(-FOOTER_SIZE - len(MAGIC), os.SEEK_END)
+    footer = stream.read(FOOTER_SIZE)
+    start: int = parse(Opcode.FOOTER, footer[RECORD.size :]).summary_start
+    if footer[0] != Opcode.FOOTER or not 0 <= start <= end:
+        raise McapError("no footer: its end is cut or damaged")
+    if not start:
+        return 0, []
+    require_record(end - start, limits)
+    stream.seek(start)
+    return start, [
+        parse(item.opcode, bytes(item.body)) for item in records_in(stream.read(end - start)) if item.opcode in PARSED
+    ]
 
 
 def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
@@ -83,13 +94,15 @@ def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
     Raises:
         LogError: the file cannot be read, is not MCAP, or its end is cut or damaged.
     """
+    found, names = Described(), list[str]()
     try:
-        with GuardedFile(LogFile.of(path), DEFAULT_LIMITS) as stream:
-            found = summary_of(stream)
+        with path.open("rb") as stream:
+            for item in summary_of(stream, DEFAULT_LIMITS)[1]:
+                found.add(item, in_data=False)
+                names += [item.name] if isinstance(item, records.MetadataIndex) else []
     except (OSError, *UNREADABLE) as error:
         raise LogError(f"{path}: {error}") from error
-    channels = (channel_of(channel, found.schemas.get(channel.schema_id)) for channel in found.channels.values())
-    return tuple(item.name for item in found.metadata_indexes), tuple(channels)
+    return tuple(names), tuple(found.channels.values())
 
 
 @dataclass

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import accumulate, chain, groupby
-from typing import Final
+from typing import IO, Final
 
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -22,7 +22,7 @@ from roadperc_stream.log import layout
 from roadperc_stream.log.chunks import INSIDE, unpacked
 from roadperc_stream.log.damage import damaged, unopened
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
-from roadperc_stream.log.limits import GuardedFile, LimitError
+from roadperc_stream.log.limits import LimitError
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.recovery import Salvage, damage_in
@@ -35,14 +35,14 @@ _NEVER_NS: Final = 2**64
 
 
 @contextmanager
-def opened(file: LogFile, limits: LimitsConfig) -> Iterator[GuardedFile]:
+def opened(file: LogFile, limits: LimitsConfig) -> Iterator[IO[bytes]]:
     """Open a log that was checked.
 
     Raises:
         LogError: the file cannot be read, is not MCAP, is cut, damaged or beyond the limits.
     """
     try:
-        with GuardedFile(file, limits) as stream:
+        with file.path.open("rb") as stream:
             yield stream
     except OSError as error:
         raise unopened(file.name, error) from error
@@ -99,7 +99,7 @@ class IndexedFile:
                 else:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
-    def _as_is(self, stream: GuardedFile, chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
+    def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
         """Yield a chunk unchanged, or its messages if it is not tidy or describes other channels."""
         if _start(chunk) not in self._seen:
             self._records(stream, chunk)
@@ -109,14 +109,14 @@ class IndexedFile:
             yield from self._in_order(stream, [chunk], kept, None, None)
             return
         record = _record(stream, chunk)
-        yield ChunkRecords(record, stream.exactly(chunk.message_index_length)).with_crc()
+        yield ChunkRecords(record, _taken(stream, chunk.message_index_length)).with_crc()
 
     def _holding(self, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> list[ChunkIndex]:
         return [chunk for chunk in self.chunks if may_hold(chunk, wanted, start_ns, end_ns)]
 
     def _in_order(
         self,
-        stream: GuardedFile,
+        stream: IO[bytes],
         chunks: Iterable[ChunkIndex],
         wanted: Collection[int],
         start_ns: int | None,
@@ -141,7 +141,7 @@ class IndexedFile:
                 head = layout.message_head(body)
                 yield head.of(self.channels[head.channel_id], body)
 
-    def _records(self, stream: GuardedFile, chunk: ChunkIndex) -> list[layout.Record]:
+    def _records(self, stream: IO[bytes], chunk: ChunkIndex) -> list[layout.Record]:
         """Return the records of a chunk, and remember what it describes."""
         head = layout.chunk_of(_record(stream, chunk))
         found = list(layout.records_in(unpacked(head)))
@@ -197,6 +197,13 @@ def _place(chunk: ChunkIndex) -> tuple[int, int]:
     return chunk.message_start_time, chunk.chunk_start_offset
 
 
-def _record(stream: GuardedFile, chunk: ChunkIndex) -> bytes:
+def _record(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
     stream.seek(chunk.chunk_start_offset)
-    return stream.exactly(chunk.chunk_length)
+    return _taken(stream, chunk.chunk_length)
+
+
+def _taken(stream: IO[bytes], length: int) -> bytes:
+    data = stream.read(length)
+    if len(data) < length:
+        raise McapError(f"expected {length} bytes, found {len(data)}")
+    return data

@@ -17,7 +17,6 @@ from typing import IO, Final, Self
 from deflate import crc32
 from mcap import records
 from mcap.opcode import Opcode
-from mcap.reader import FOOTER_SIZE
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
@@ -34,7 +33,7 @@ from roadperc_stream.log.damage import (
 )
 from roadperc_stream.log.index import Described, share_channels, summary_of
 from roadperc_stream.log.layout import MAGIC, MESSAGE, NAMES, RECORD, Record
-from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk
+from roadperc_stream.log.limits import LimitError, require_attachments, require_chunk, require_record
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.stored import AnyLog, LogFile
 from roadperc_stream.system.time import ns_to_seconds
@@ -203,8 +202,9 @@ class Salvage:
         self._doubted: int | None = None
         """First byte of a record that may be a message with a damaged opcode, if no CRC says that it is none."""
         try:
-            with GuardedFile(self.file, self.limits) as stream:
-                self.size_bytes = stream.size_bytes
+            with self.file.path.open("rb") as stream:
+                self.size_bytes = stream.seek(0, os.SEEK_END)
+                stream.seek(0)
                 require_magic(self.path, stream.read(len(MAGIC)))
                 self._read_summary(stream)
         except OSError as error:
@@ -213,14 +213,12 @@ class Salvage:
     def _read_summary(self, stream: IO[bytes]) -> None:
         """Take descriptions and the chunk index from the summary: those in the data may be damaged."""
         with suppress(OSError, *layout.UNREADABLE):  # comes again in reading
-            found = summary_of(stream)
-            for item in (*found.schemas.values(), *found.channels.values()):
+            data_end, items = summary_of(stream, self.limits)
+            for item in items:
                 self.described.add(item, in_data=False)
-            chunks = (chunk for chunk in found.chunk_indexes if chunk.message_start_time <= chunk.message_end_time)
-            self._indexed = {chunk.chunk_start_offset: chunk for chunk in chunks}
-            stream.seek(-FOOTER_SIZE - len(MAGIC), os.SEEK_END)
-            footer = layout.parse(Opcode.FOOTER, stream.read(FOOTER_SIZE)[RECORD.size :])
-            stream.seek(footer.summary_start - layout.CRC_BYTES)
+                if isinstance(item, records.ChunkIndex) and item.message_start_time <= item.message_end_time:
+                    self._indexed[item.chunk_start_offset] = item
+            stream.seek(data_end - layout.CRC_BYTES)
             self.has_data_crc = any(stream.read(layout.CRC_BYTES))
 
     @property
@@ -241,7 +239,7 @@ class Salvage:
 
     def _found(self, *, with_content: bool) -> Iterator[Found]:
         try:
-            with GuardedFile(self.file, self.limits) as stream:
+            with self.file.path.open("rb") as stream:
                 for record, cut in self._records(stream):
                     yield from self._messages_of(record, cut, with_content=with_content)
                     if self.damages and not self.inside:
@@ -252,7 +250,7 @@ class Salvage:
             raise LogError(f"{self.path}: {error}") from error
         self._conclude()
 
-    def _records(self, stream: GuardedFile) -> Iterator[tuple[Record, str]]:
+    def _records(self, stream: IO[bytes]) -> Iterator[tuple[Record, str]]:
         """Yield the records outside chunks, each with the reason if it is a chunk cut by the end of the file."""
         crc: int | None = crc32(stream.read(len(MAGIC)))
         at: int | None = len(MAGIC)
@@ -266,7 +264,9 @@ class Salvage:
                     self._lose(at, fault)
                 at, crc = self._next(stream, at + 1), None
             else:
-                record = Record(at, head[0], stream.exactly(RECORD.unpack(head)[1]))
+                length = RECORD.unpack(head)[1]
+                require_record(length, self.limits)
+                record = Record(at, head[0], stream.read(length))
                 head = stream.read(RECORD.size)
                 if record.opcode == Opcode.FOOTER:
                     self._finish(record, head, crc)
@@ -301,7 +301,7 @@ class Salvage:
             return f"a {NAMES.get(opcode, hex(opcode))} record does not belong here"
         return ""
 
-    def _start_inside(self, stream: GuardedFile, record: Record, head: bytes) -> int | None:
+    def _start_inside(self, stream: IO[bytes], record: Record, head: bytes) -> int | None:
         """Return where the next record starts if the length of this one is wrong; None if it is right.
 
         ``head`` are the bytes behind it. If it leads to no other record and none starts inside it, only the next one is
@@ -315,7 +315,7 @@ class Salvage:
         inside = self._next(stream, record.start + 1)
         return inside if inside is not None and (inside < record.end or is_end) else None
 
-    def _next(self, stream: GuardedFile, at: int) -> int | None:
+    def _next(self, stream: IO[bytes], at: int) -> int | None:
         """Return the next place where a record starts; None behind the data section."""
         if not self._in_data:
             return None
