@@ -17,12 +17,10 @@ from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
 
 from roadperc_stream.config import LimitsConfig
-from roadperc_stream.errors import LogError
 from roadperc_stream.log import layout
 from roadperc_stream.log.chunks import INSIDE, unpacked
 from roadperc_stream.log.damage import damaged, unopened
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
-from roadperc_stream.log.limits import LimitError
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.recovery import Salvage, damage_in
@@ -39,15 +37,13 @@ def opened(file: LogFile, limits: LimitsConfig) -> Iterator[IO[bytes]]:
     """Open a log that was checked.
 
     Raises:
-        LogError: the file cannot be read, is not MCAP, is cut, damaged or beyond the limits.
+        LogError: the file cannot be read, or is damaged now.
     """
     try:
         with file.path.open("rb") as stream:
             yield stream
     except OSError as error:
         raise unopened(file.name, error) from error
-    except LimitError as error:
-        raise LogError(f"{file}: {error}") from error
     except layout.UNREADABLE as error:
         found = Salvage(file, limits=limits).run()
         raise (damaged(file.name, f"damaged MCAP: {error}") if found.whole else damage_in(found)) from error

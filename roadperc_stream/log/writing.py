@@ -208,8 +208,9 @@ class LogWriter:
 
     def discard(self) -> None:
         """Remove the partial file, if it can be removed."""
-        with suppress(OSError):
-            self._temporary.unlink(missing_ok=True)
+        if self.file is None:
+            with suppress(OSError):
+                self._temporary.unlink(missing_ok=True)
 
 
 class MessageCopy:
