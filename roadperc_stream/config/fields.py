@@ -126,8 +126,6 @@ class LimitsConfig(Section):
 
     chunk_messages: ClassVar[int] = 1_000_000
     """Most messages in a chunk; a chunk of 8 MiB holds 0.3 million of the shortest messages."""
-    gaps: ClassVar[int] = 10_000
-    """Most gaps that a repaired log lists; it lists the rest as one gap."""
     points: ClassVar[int] = 10_000_000
     """Most points in a lidar message; a turn of 128 beams has 0.3 million."""
     message_bytes: ClassVar[int] = 16 * _MIB

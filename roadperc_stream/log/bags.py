@@ -25,7 +25,7 @@ from roadperc_stream.log.layout import MAGIC
 from roadperc_stream.log.records import Channel, Message
 from roadperc_stream.log.recovery import Salvage
 from roadperc_stream.log.stored import LogFile, fill, received_files, storing
-from roadperc_stream.log.writing import StoredLogWriter
+from roadperc_stream.log.writing import LogWriter
 from roadperc_stream.system.files import BAG_METADATA, is_bag_folder, read_file
 
 _SQLITE, _ROS1 = BAGS
@@ -141,7 +141,7 @@ def _copy(name: Path, writer: str, contents: Contents, repair: str) -> LogFile:
     """Return a copy in MCAP, cut where an error occurs; ``repair`` is a command for an unreadable bag."""
     with storing(str(name)):
         file = TemporaryFile()  # noqa: SIM115 - the log owns it
-    log, fault = StoredLogWriter(name, "ros2", f"{writer}, read as MCAP", file=file), ""
+    log, fault = LogWriter(name, "ros2", f"{writer}, read as MCAP", file=file), ""
     try:
         with log, ExitStack() as ending:
             ending.callback(log.end_chunk)

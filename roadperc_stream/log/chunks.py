@@ -4,7 +4,6 @@ Format: https://mcap.dev/spec.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from typing import Any, Final
 
@@ -83,28 +82,20 @@ def outline_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
     return found, ""
 
 
-@dataclass(frozen=True)
-class Unpacked:
-    """A chunk's decompressed data."""
-
-    data: memoryview
-    is_plain: bool
-    """Whether the data is one frame of the declared size: many readers only read the first frame."""
-
-
-def unpacked(head: ChunkHead) -> Unpacked:
-    """Decompress a chunk whose size was checked with ``limits.require_chunk``, in one step if possible.
+def unpacked(head: ChunkHead) -> memoryview:
+    """Return the data of a chunk whose size was checked with ``limits.require_chunk``.
 
     Raises:
         ValueError: the data is not valid, or its CRC is wrong.
         RuntimeError, EOFError, ZstdError: it cannot be decompressed.
     """
-    at_once = _at_once(head)
-    data = memoryview(_STREAMS[head.compression](head).read(head.size_bytes + 1)) if at_once is None else at_once
+    data = _at_once(head)
+    if data is None:
+        data = memoryview(_STREAMS[head.compression](head).read(head.size_bytes + 1))
     if len(data) != head.size_bytes:
         raise ValueError(_too_long(head) if len(data) > head.size_bytes else TOO_SHORT)
     require_crc("chunk", crc32(data), head.crc)
-    return Unpacked(data, at_once is not None)
+    return data
 
 
 def too_many(most: int) -> str:

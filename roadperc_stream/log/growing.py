@@ -98,11 +98,14 @@ class GrowingLog:
         return self._found(None, start_ns, None)
 
     def _found(self, topics: Collection[str] | None, start_ns: int, end_ns: int | None) -> Iterator[Message | None]:
-        waiting, chunk_index, taken = _Waiting(), 0, 0
+        waiting: list[tuple[int, int, Message]] = []  # by log time, then in the order of reading
+        numbers, chunk_index, taken = count(), 0, 0
 
-        def is_wanted(message: Message) -> bool:
-            in_time = is_within(message.log_time_ns, start_ns, end_ns)
-            return in_time and (topics is None or message.channel.topic in topics)
+        def add(messages: Iterable[Message]) -> None:
+            for message in messages:
+                in_time = is_within(message.log_time_ns, start_ns, end_ns)
+                if in_time and (topics is None or message.channel.topic in topics):
+                    heapq.heappush(waiting, (message.log_time_ns, next(numbers), message))
 
         while True:
             with self._lock:
@@ -112,14 +115,14 @@ class GrowingLog:
                 wanted = {i for i, channel in self._channels.items() if topics is None or channel.topic in topics}
             if chunk is not None:
                 if may_hold(chunk, wanted, start_ns, end_ns):
-                    yield from waiting.through(min(chunk.message_start_time, reached_ns))
-                    waiting.add(filter(is_wanted, islice(self._load(chunk), taken, None)))
+                    yield from _through(waiting, min(chunk.message_start_time, reached_ns))
+                    add(islice(self._load(chunk), taken, None))
                 chunk_index, taken = chunk_index + 1, 0
                 continue
-            waiting.add(filter(is_wanted, tail))
+            add(tail)
             taken += len(tail)
-            if waiting.holds(reached_ns):  # while they are consumed, more may come
-                yield from waiting.through(reached_ns)
+            if waiting and waiting[0][0] <= reached_ns:  # while they are consumed, more may come
+                yield from _through(waiting, reached_ns)
             elif complete:
                 return
             else:
@@ -130,7 +133,7 @@ class GrowingLog:
             with self._lock, self.path.open("rb") as stream:
                 stream.seek(chunk.chunk_start_offset)
                 data = stream.read(chunk.chunk_length)
-            for item in records_in(unpacked(chunk_of(data)).data):
+            for item in records_in(unpacked(chunk_of(data))):
                 if item.opcode == Opcode.MESSAGE:
                     head = message_head(item.body)
                     yield head.of(self._channels[head.channel_id], item.body)
@@ -140,23 +143,7 @@ class GrowingLog:
             raise LogError(f"{self.path}: damaged MCAP: {error}") from error
 
 
-class _Waiting:
-    """Messages that were read and not yielded yet, in log-time order."""
-
-    def __init__(self) -> None:
-        self._heap: list[tuple[int, int, Message]] = []
-        self._numbers = count()
-
-    def add(self, messages: Iterable[Message]) -> None:
-        """Add messages; of equal log times, those added first come first."""
-        for message in messages:
-            heapq.heappush(self._heap, (message.log_time_ns, next(self._numbers), message))
-
-    def holds(self, log_time_ns: int) -> bool:
-        """Return whether there is a message up to a log time."""
-        return bool(self._heap) and self._heap[0][0] <= log_time_ns
-
-    def through(self, log_time_ns: int) -> Iterator[Message]:
-        """Remove and yield the messages up to a log time."""
-        while self.holds(log_time_ns):
-            yield heapq.heappop(self._heap)[2]
+def _through(waiting: list[tuple[int, int, Message]], log_time_ns: int) -> Iterator[Message]:
+    """Remove and yield the messages up to a log time."""
+    while waiting and waiting[0][0] <= log_time_ns:
+        yield heapq.heappop(waiting)[2]

@@ -2,26 +2,24 @@
 
 import heapq
 import os
-from collections.abc import Collection, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Final, TypeVar
 
 from mcap import records
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import FOOTER_SIZE
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, McapRecord
 from mcap.records import Schema as McapSchema
-from mcap.stream_reader import StreamReader
 
-from roadperc_stream.config import DEFAULT_LIMITS
+from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.layout import MAGIC, UNREADABLE
-from roadperc_stream.log.limits import GuardedFile
+from roadperc_stream.log.layout import MAGIC, PARSED, RECORD, UNREADABLE, parse, records_in
+from roadperc_stream.log.limits import require_record
 from roadperc_stream.log.records import Attachment, Channel, Metadata
-from roadperc_stream.log.stored import LogFile
 
 MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 """Most memory for messages while a log is put in order by its index; beyond, it is sorted on disk."""
@@ -70,20 +68,24 @@ def channel_of(channel: McapChannel, schema: McapSchema | None) -> Channel:
     return Channel(channel.topic, channel.message_encoding, *described, labels, channel.id, channel.schema_id)
 
 
-def summary_of(stream: IO[bytes]) -> Iterator[McapRecord]:
-    """Yield the records of a file's summary, up to the first that cannot be read; none without a footer."""
-    with suppress(OSError, *UNREADABLE):  # an error of the disk comes again in reading
-        yield from _whole_summary_of(stream)
+def summary_of(stream: IO[bytes], limits: LimitsConfig) -> tuple[int, list[McapRecord]]:
+    """Return the first byte of a file's summary section, and its records; 0 and none without one.
 
-
-def _whole_summary_of(stream: IO[bytes]) -> Iterator[McapRecord]:
-    stream.seek(-FOOTER_SIZE - len(MAGIC), os.SEEK_END)
-    footer = next(StreamReader(stream, skip_magic=True).records)
-    if not isinstance(footer, records.Footer):
+    Raises:
+        UNREADABLE: the end of the file is cut or damaged.
+    """
+    end = stream.seek(-FOOTER_SIZE - len(MAGIC), os.SEEK_END)
+    footer = stream.read(FOOTER_SIZE)
+    start: int = parse(Opcode.FOOTER, footer[RECORD.size :]).summary_start
+    if footer[0] != Opcode.FOOTER or not 0 <= start <= end:
         raise McapError("no footer: its end is cut or damaged")
-    if footer.summary_start:
-        stream.seek(footer.summary_start)
-        yield from StreamReader(stream, skip_magic=True, emit_chunks=True).records
+    if not start:
+        return 0, []
+    require_record(end - start, limits)
+    stream.seek(start)
+    return start, [
+        parse(item.opcode, bytes(item.body)) for item in records_in(stream.read(end - start)) if item.opcode in PARSED
+    ]
 
 
 def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
@@ -94,8 +96,8 @@ def outline(path: Path) -> tuple[tuple[str, ...], tuple[Channel, ...]]:
     """
     found, names = Described(), list[str]()
     try:
-        with GuardedFile(LogFile.of(path), DEFAULT_LIMITS) as stream:
-            for item in _whole_summary_of(stream):
+        with path.open("rb") as stream:
+            for item in summary_of(stream, DEFAULT_LIMITS)[1]:
                 found.add(item, in_data=False)
                 names += [item.name] if isinstance(item, records.MetadataIndex) else []
     except (OSError, *UNREADABLE) as error:

@@ -5,48 +5,48 @@ https://mcap.dev/spec.
 """
 
 import heapq
-from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import accumulate, chain, groupby, pairwise
-from typing import Final
+from itertools import accumulate, chain, groupby
+from typing import IO, Final
 
-from deflate import crc32
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex
 from mcap.records import Schema as McapSchema
 
+from roadperc_stream.config import LimitsConfig
 from roadperc_stream.log import layout
-from roadperc_stream.log.chunks import INSIDE, Unpacked, unpacked
-from roadperc_stream.log.file_order import opened
+from roadperc_stream.log.chunks import INSIDE, unpacked
+from roadperc_stream.log.damage import damaged, unopened
 from roadperc_stream.log.index import MOST_HELD_BYTES, channel_of, held_bytes, is_within, may_hold
-from roadperc_stream.log.limits import GuardedFile
 from roadperc_stream.log.mcap_file import ChunkRecords, Piece
 from roadperc_stream.log.records import Channel, Message
-from roadperc_stream.log.recovery import Salvage
+from roadperc_stream.log.recovery import Salvage, damage_in
 from roadperc_stream.log.sorting import SortedMessages
+from roadperc_stream.log.stored import LogFile
 
 _MOST_WHOLE_BYTES: Final = 16 * 1024 * 1024
 """Largest chunk that is copied unchanged: a reader of the copy keeps it in memory together with its results."""
 _NEVER_NS: Final = 2**64
-Body = bytes | memoryview
-"""The bytes of a record behind its length."""
-IndexEntry = tuple[int, int, int]
-"""A message's channel, log time and offset in the chunk's data."""
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkContents:
-    """Facts about a chunk that are known once it is decompressed."""
+@contextmanager
+def opened(file: LogFile, limits: LimitsConfig) -> Iterator[IO[bytes]]:
+    """Open a log that was checked.
 
-    crc: int
-    """CRC of the chunk's data."""
-    is_tidy: bool
-    """Whether its fields and message indexes are correct, and its messages are in log-time order."""
-    described: frozenset[tuple[int, int]]
-    """Opcode and id of the channels and schemas described in it."""
+    Raises:
+        LogError: the file cannot be read, or is damaged now.
+    """
+    try:
+        with file.path.open("rb") as stream:
+            yield stream
+    except OSError as error:
+        raise unopened(file.name, error) from error
+    except layout.UNREADABLE as error:
+        found = Salvage(file, limits=limits).run()
+        raise (damaged(file.name, f"damaged MCAP: {error}") if found.whole else damage_in(found)) from error
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ class IndexedFile:
     """The finished account."""
     in_order: SortedMessages
     """All messages, for reading that would take too much memory by the index."""
-    _seen: dict[int, ChunkContents] = field(default_factory=dict, compare=False, repr=False)
-    """Contents of the chunks already read, by their first byte."""
+    _seen: dict[int, frozenset[tuple[int, int]] | None] = field(default_factory=dict, compare=False, repr=False)
+    """Opcode and id of what the chunks already read describe, by their first byte; None if a chunk is not tidy."""
 
     @property
     def channels(self) -> Mapping[int, Channel]:
@@ -95,32 +95,24 @@ class IndexedFile:
                 else:
                     yield from self._in_order(stream, group, kept, start_ns, end_ns)
 
-    def _as_is(self, stream: GuardedFile, chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
-        """Yield a chunk unchanged, or its messages if it is not tidy."""
+    def _as_is(self, stream: IO[bytes], chunk: ChunkIndex, kept: frozenset[int]) -> Iterator[Piece]:
+        """Yield a chunk unchanged, or its messages if it is not tidy or describes other channels."""
         if _start(chunk) not in self._seen:
-            deque(self._bodies(stream, chunk), maxlen=0)
-        contents = self._seen[_start(chunk)]
-        if contents.is_tidy and contents.described <= self._known_by(kept):
-            found = ChunkRecords(_record(stream, chunk), _indexes(stream, chunk))
-            yield found if found.head.crc else found.with_crc(contents.crc)
-        else:
+            self._records(stream, chunk)
+        described, channels = self._seen[_start(chunk)], [self.channels[i] for i in kept]
+        known = {(int(Opcode.SCHEMA), c.schema_id) for c in channels} | {(int(Opcode.CHANNEL), i) for i in kept}
+        if described is None or not described <= known:
             yield from self._in_order(stream, [chunk], kept, None, None)
-
-    def _known_by(self, kept: frozenset[int]) -> frozenset[tuple[int, int]]:
-        """Return opcode and id of these channels and their schemas."""
-        schemas = {(int(Opcode.SCHEMA), self.channels[i].schema_id) for i in kept}
-        return frozenset(schemas | {(int(Opcode.CHANNEL), i) for i in kept})
-
-    def held_bytes(self) -> int:
-        """Return the most memory that reading all of it by the index takes."""
-        return held_bytes(self.chunks)
+            return
+        record = _record(stream, chunk)
+        yield ChunkRecords(record, _taken(stream, chunk.message_index_length)).with_crc()
 
     def _holding(self, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> list[ChunkIndex]:
         return [chunk for chunk in self.chunks if may_hold(chunk, wanted, start_ns, end_ns)]
 
     def _in_order(
         self,
-        stream: GuardedFile,
+        stream: IO[bytes],
         chunks: Iterable[ChunkIndex],
         wanted: Collection[int],
         start_ns: int | None,
@@ -128,63 +120,47 @@ class IndexedFile:
     ) -> Iterator[Message]:
         """Yield the messages of chunks by log time; those of equal time in file order."""
         coming = sorted(chunks, key=_place, reverse=True)
-        waiting: list[tuple[int, int, int, Body]] = []
+        waiting: list[tuple[int, int, int, bytes | memoryview]] = []
         while coming or waiting:
             if coming and (not waiting or _place(coming[-1]) < waiting[0][:2]):
                 chunk = coming.pop()
-                for number, body in enumerate(self._bodies(stream, chunk)):
-                    head = layout.message_head(body)
+                for number, record in enumerate(self._records(stream, chunk)):
+                    if record.opcode != Opcode.MESSAGE:
+                        continue
+                    head = layout.message_head(record.body)
                     if head.channel_id not in self.channels:
                         raise McapError(f"no channel record found with id {head.channel_id}")
                     if head.channel_id in wanted and is_within(head.log_time_ns, start_ns, end_ns):
-                        heapq.heappush(waiting, (head.log_time_ns, _start(chunk), number, body))
+                        heapq.heappush(waiting, (head.log_time_ns, _start(chunk), number, record.body))
             else:
                 body = heapq.heappop(waiting)[3]
                 head = layout.message_head(body)
                 yield head.of(self.channels[head.channel_id], body)
 
-    def _bodies(self, stream: GuardedFile, chunk: ChunkIndex) -> Iterator[Body]:
-        """Yield the message records of a chunk, and record its contents."""
+    def _records(self, stream: IO[bytes], chunk: ChunkIndex) -> list[layout.Record]:
+        """Return the records of a chunk, and remember what it describes."""
         head = layout.chunk_of(_record(stream, chunk))
-        found = unpacked(head)
-        others, entries = list[tuple[int, Body]](), list[IndexEntry]()
-        for item in layout.records_in(found.data):
-            if item.opcode == Opcode.MESSAGE:
-                message = layout.message_head(item.body)
-                entries.append((message.channel_id, message.log_time_ns, item.start))
-                yield item.body
-            else:
-                others.append((item.opcode, item.body))
+        found = list(layout.records_in(unpacked(head)))
         if _start(chunk) not in self._seen:
-            is_indexed = _in_order_and_indexed(entries, layout.message_indexes(_indexes(stream, chunk)))
-            times = [time_ns for _, time_ns, _ in entries]
-            span_ns = (min(times), max(times)) if times else None
-            is_tidy = is_indexed and span_ns == (head.first_ns, head.last_ns)
-            self._seen[_start(chunk)] = self._contents(head, found, others, is_tidy=is_tidy)
+            messages = [layout.message_head(item.body) for item in found if item.opcode == Opcode.MESSAGE]
+            others = [item for item in found if item.opcode != Opcode.MESSAGE]
+            times = [message.log_time_ns for message in messages]
+            is_in_order = times == sorted(times) and times[:1] + times[-1:] == [head.first_ns, head.last_ns]
+            is_indexed = {message.channel_id for message in messages} == chunk.message_index_offsets.keys()
+            is_tidy = is_in_order and is_indexed and all(map(self._is_known, others))
+            described = frozenset((item.opcode, int.from_bytes(item.body[:2], "little")) for item in others)
+            self._seen[_start(chunk)] = described if is_tidy else None
+        return found
 
-    def _contents(
-        self, head: layout.ChunkHead, found: Unpacked, others: Sequence[tuple[int, Body]], *, is_tidy: bool
-    ) -> ChunkContents:
-        """Return the contents of a chunk; ``others`` are its records except messages, ``is_tidy`` is for messages."""
-        crc, described = crc32(found.data), [(opcode, int.from_bytes(body[:2], "little")) for opcode, body in others]
-        is_known = all(self._describes(key, body) for key, (_, body) in zip(described, others, strict=True))
-        is_correct = found.is_plain and head.crc in {0, crc}
-        return ChunkContents(crc, is_tidy and is_known and is_correct, frozenset(described))
-
-    def _describes(self, key: tuple[int, int], body: Body) -> bool:
+    def _is_known(self, item: layout.Record) -> bool:
         """Return whether a record of a chunk equals a channel or a schema of the log."""
-        known = self.found.described
-        try:
-            item = layout.parse(key[0], bytes(body)) if key[0] in INSIDE else None
-        except layout.UNREADABLE:
+        if item.opcode not in INSIDE:
             return False
-        match item:
-            case McapSchema():
-                return known.schemas.get(item.id) == item
-            case McapChannel() if (channel := known.channels.get(item.id)) is not None:
-                is_equal = channel == channel_of(item, known.schemas.get(item.schema_id))
-                return is_equal and channel.schema_id == item.schema_id
-        return False
+        known, found = self.found.described, layout.parse(item.opcode, bytes(item.body))
+        if isinstance(found, McapSchema):
+            return known.schemas.get(found.id) == found
+        channel, other = channel_of(found, known.schemas.get(found.schema_id)), known.channels.get(found.id)
+        return other is not None and (channel, channel.schema_id) == (other, other.schema_id)
 
 
 def _lies_in(chunk: ChunkIndex, kept: frozenset[int], start_ns: int | None, end_ns: int | None) -> bool:
@@ -217,19 +193,13 @@ def _place(chunk: ChunkIndex) -> tuple[int, int]:
     return chunk.message_start_time, chunk.chunk_start_offset
 
 
-def _in_order_and_indexed(entries: Sequence[IndexEntry], indexes: Sequence[layout.MessageIndex]) -> bool:
-    """Return whether messages are in log-time order, and exactly one message index per channel lists them."""
-    in_order = all(earlier[1] <= later[1] for earlier, later in pairwise(entries))
-    channels = [index.channel_id for index in indexes]
-    listed = sorted((index.channel_id, *entry) for index in indexes for entry in index.entries)
-    return in_order and len(channels) == len(set(channels)) and sorted(entries) == listed
-
-
-def _record(stream: GuardedFile, chunk: ChunkIndex) -> bytes:
+def _record(stream: IO[bytes], chunk: ChunkIndex) -> bytes:
     stream.seek(chunk.chunk_start_offset)
-    return stream.exactly(chunk.chunk_length)
+    return _taken(stream, chunk.chunk_length)
 
 
-def _indexes(stream: GuardedFile, chunk: ChunkIndex) -> bytes:
-    stream.seek(chunk.chunk_start_offset + chunk.chunk_length)
-    return stream.exactly(chunk.message_index_length)
+def _taken(stream: IO[bytes], length: int) -> bytes:
+    data = stream.read(length)
+    if len(data) < length:
+        raise McapError(f"expected {length} bytes, found {len(data)}")
+    return data

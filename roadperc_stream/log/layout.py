@@ -134,16 +134,6 @@ def entry_of(head: ChunkHead, start: int, body_bytes: int) -> records.ChunkIndex
     )
 
 
-@dataclass(frozen=True)
-class MessageIndex:
-    """One message index behind a chunk; ``offset`` counts from the start of the first one."""
-
-    offset: int
-    channel_id: int
-    entries: list[tuple[int, int]]
-    """Log time and chunk offset of each message."""
-
-
 def records_in(data: bytes | memoryview) -> Iterator[Record]:
     """Yield the records of some bytes.
 
@@ -197,8 +187,8 @@ def message_head(body: bytes | memoryview) -> MessageHead:
     return MessageHead(*MESSAGE.unpack_from(body))
 
 
-def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
-    """Read a message index.
+def message_index(body: bytes | memoryview) -> tuple[int, list[tuple[int, int]]]:
+    """Return the channel of a message index, and log time and chunk offset of each message.
 
     Raises:
         ValueError: it is not valid.
@@ -208,16 +198,7 @@ def message_index(body: bytes | memoryview, offset: int = 0) -> MessageIndex:
     channel_id, length = INDEX.unpack_from(body)
     if length % ENTRY.size or INDEX.size + length > len(body):
         raise ValueError(TOO_SHORT)
-    return MessageIndex(offset, channel_id, list(ENTRY.iter_unpack(memoryview(body)[INDEX.size :][:length])))
-
-
-def message_indexes(data: bytes) -> list[MessageIndex]:
-    """Read the message indexes of some bytes.
-
-    Raises:
-        ValueError: one is not valid.
-    """
-    return [message_index(item.body, item.start) for item in records_in(data)]
+    return channel_id, list(ENTRY.iter_unpack(memoryview(body)[INDEX.size :][:length]))
 
 
 def parse(opcode: int, body: bytes) -> Any:
@@ -241,9 +222,8 @@ def parse(opcode: int, body: bytes) -> Any:
 
 def fault_of(error: BaseException) -> str:
     """Return the text of one of the errors ``UNREADABLE``."""
-    return (
-        TOO_SHORT if isinstance(error, EOFError | EndOfFile) else " ".join(str(error).split()) or type(error).__name__
-    )
+    words = TOO_SHORT if isinstance(error, EOFError | EndOfFile) else " ".join(str(error).split())
+    return words or type(error).__name__
 
 
 def require_crc(what: str, found: int, expected: int) -> None:

@@ -16,11 +16,12 @@ from mcap.opcode import Opcode
 from zstandard import ZstdCompressor
 
 from roadperc_stream.log import layout
+from roadperc_stream.log.chunks import unpacked
 from roadperc_stream.log.records import Message
 
 _CRC_AT: Final = layout.RECORD.size + layout.CHUNK.size - 2 * layout.CRC_BYTES
 """Offset in the record of a chunk."""
-_COMPRESSION: Final = b"zstd"
+_COMPRESSION: Final = "zstd"
 _LEVEL: Final = 1
 """Takes a third of the time of zstandard's default, for 4 % more bytes."""
 
@@ -37,14 +38,11 @@ class ChunkRecords:
         """The fields of the chunk."""
         return layout.chunk_of(self.record)
 
-    @property
-    def message_indexes(self) -> list[layout.MessageIndex]:
-        """The message indexes behind it."""
-        return layout.message_indexes(self.indexes)
-
-    def with_crc(self, crc: int) -> "ChunkRecords":
-        """Return the chunk with another CRC of its data."""
-        record = bytearray(self.record)
+    def with_crc(self) -> "ChunkRecords":
+        """Return the chunk with a CRC of its data, if it has none."""
+        if self.head.crc:
+            return self
+        record, crc = bytearray(self.record), crc32(unpacked(self.head))
         record[_CRC_AT : _CRC_AT + layout.CRC_BYTES] = crc.to_bytes(layout.CRC_BYTES, "little")
         return ChunkRecords(bytes(record), self.indexes)
 
@@ -74,19 +72,11 @@ class OpenChunk:
     def records(self) -> ChunkRecords:
         """Return the chunk to write."""
         data = b"".join(self._pieces)
-        stored = ZstdCompressor(level=_LEVEL).compress(data)
         times = [time_ns for entries in self._entries.values() for time_ns, _ in entries]
-        fields = layout.CHUNK.pack(min(times), max(times), len(data), crc32(data), len(_COMPRESSION))
-        record = _record(Opcode.CHUNK, fields, _COMPRESSION, layout.LENGTH.pack(len(stored)), stored)
-        indexes = b""
-        for channel_id, entries in self._entries.items():
-            body = b"".join(layout.ENTRY.pack(*entry) for entry in entries)
-            indexes += _record(Opcode.MESSAGE_INDEX, layout.INDEX.pack(channel_id, len(body)), body)
-        return ChunkRecords(record, indexes)
-
-
-def _record(opcode: int, *fields: bytes) -> bytes:
-    return b"".join((layout.RECORD.pack(opcode, sum(map(len, fields))), *fields))
+        stored = ZstdCompressor(level=_LEVEL).compress(data)
+        chunk = records.Chunk(_COMPRESSION, stored, max(times), min(times), crc32(data), len(data))
+        indexes = [records.MessageIndex(*of_channel) for of_channel in self._entries.items()]
+        return ChunkRecords(_bytes_of([chunk]), _bytes_of(indexes))
 
 
 class McapFile:
@@ -102,7 +92,8 @@ class McapFile:
         self._last_ns = 0
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
-        self._counts = Counter[int]()
+        self.counts = Counter[int]()
+        """Messages by channel."""
         self._write(layout.MAGIC)
         self._add(records.Header(profile, library))
 
@@ -132,9 +123,10 @@ class McapFile:
         head, start = chunk.head, self._stream.tell()
         entry = layout.entry_of(head, start, len(chunk.record) - layout.RECORD.size)
         entry.message_index_length = len(chunk.indexes)
-        for index in chunk.message_indexes:
-            entry.message_index_offsets[index.channel_id] = start + len(chunk.record) + index.offset
-            self._counts[index.channel_id] += len(index.entries)
+        for item in layout.records_in(chunk.indexes):
+            channel_id, messages = layout.message_index(item.body)
+            entry.message_index_offsets[channel_id] = start + len(chunk.record) + item.start
+            self.counts[channel_id] += len(messages)
         self._write(chunk.record)
         self._write(chunk.indexes)
         entry.write(self._chunk_index)
@@ -170,9 +162,9 @@ class McapFile:
         return records.Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
+            channel_message_counts=dict(self.counts),
             chunk_count=self._chunks,
-            message_count=self._counts.total(),
+            message_count=self.counts.total(),
             message_end_time=self._last_ns,
             message_start_time=self._first_ns or 0,
             metadata_count=len(self._metadata),

@@ -12,13 +12,12 @@ from pathlib import Path
 
 from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
-from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.files import UnitedFiles, united
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.log.limits import LimitError, require_attachments
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.records import Channel, LogSummary, Message
-from roadperc_stream.log.recovery import audited, damage_in
+from roadperc_stream.log.recovery import Salvage, audited, damage_in
 from roadperc_stream.log.sorting import SortedMessages
 from roadperc_stream.log.stored import AnyLog, LogFile
 
@@ -82,6 +81,18 @@ def pieces(
     return (message for message in messages if message.channel in kept)
 
 
+def _in_file_order(file: LogFile, limits: LimitsConfig) -> Iterator[Message]:
+    """Yield the messages of a checked file in its order, one message of a chunk in memory at a time.
+
+    Raises:
+        LogError: the file cannot be read, or is damaged now.
+    """
+    found = Salvage(file, limits=limits)
+    yield from found.messages()
+    if not found.whole:
+        raise damage_in(found)
+
+
 def _summary_of(file: LogFile, limits: LimitsConfig) -> LogSummary:
     """Return the summary of one file.
 
@@ -91,7 +102,7 @@ def _summary_of(file: LogFile, limits: LimitsConfig) -> LogSummary:
     found = audited(file, limits)
     if not found.whole:
         raise damage_in(found)
-    in_order, described = SortedMessages(str(file), partial(in_file_order, file, limits)), found.described
+    in_order, described = SortedMessages(str(file), partial(_in_file_order, file, limits)), found.described
     channels = [found.channels[number] for number in sorted(found.channels)]
     return LogSummary(
         file.name,

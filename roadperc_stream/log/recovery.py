@@ -6,6 +6,7 @@ record starts. Format: https://mcap.dev/spec.
 """
 
 import mmap
+import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -32,7 +33,7 @@ from roadperc_stream.log.damage import (
 )
 from roadperc_stream.log.index import Described, share_channels, summary_of
 from roadperc_stream.log.layout import MAGIC, MESSAGE, NAMES, RECORD, Record
-from roadperc_stream.log.limits import GuardedFile, LimitError, require_attachments, require_chunk, require_gaps
+from roadperc_stream.log.limits import LimitError, require_attachments, require_chunk, require_record
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.stored import AnyLog, LogFile
 from roadperc_stream.system.time import ns_to_seconds
@@ -52,7 +53,6 @@ _FAR_NS: Final = 24 * 3600 * 1_000_000_000
 _FIELDS_BYTES: Final = 64
 """More than the fields of a chunk."""
 _CHUNK: Final = rb"(?=\x06.{5}\x00{3}.{28}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd))"
-_CHUNKS: Final = re.compile(_CHUNK, re.DOTALL)
 _BESIDE_CHUNKS: Final = re.compile(_CHUNK + rb"|(?=[\x09\x0c].{5}\x00{3})", re.DOTALL)
 """First bytes of a chunk, or of a record between chunks; lengths are below 2^40 bytes."""
 _ANYWHERE: Final = re.compile(_CHUNK + rb"|(?=[\x03\x04\x05\x09\x0c].{5}\x00{3})", re.DOTALL)
@@ -84,11 +84,6 @@ class _Search:
             if end and self._data[start] == Opcode.MESSAGE:
                 alone = start, end
         return None if alone is None else alone[0]
-
-    def has_chunk(self, at: int) -> bool:
-        """Return whether a chunk starts behind a byte."""
-        ends = (self._end(found.start()) for found in _CHUNKS.finditer(self._data, at))
-        return any(is_certain or (end and self._leads_on(end)) for end, is_certain in ends)
 
     def _end(self, start: int) -> tuple[int, bool]:
         """Return the byte behind a likely record, 0 if it is none, and whether its fields alone make that certain."""
@@ -145,10 +140,10 @@ class _Chunk:
 
     def add(self, record: Record) -> None:
         """Add a message index."""
-        index = layout.message_index(record.body)
-        self.entry.message_index_offsets[index.channel_id] = record.start
+        channel_id, places = layout.message_index(record.body)
+        self.entry.message_index_offsets[channel_id] = record.start
         self.entry.message_index_length += record.end - record.start
-        self.listed += ((index.channel_id, *place) for place in index.entries)
+        self.listed += ((channel_id, *place) for place in places)
 
 
 @dataclass
@@ -204,12 +199,12 @@ class Salvage:
         self._without_crc = self._held_bytes = 0
         self._in_data, self._is_sealed, self._is_ended = True, False, False
         self._search: _Search | None = None
-        self._is_chunked = False
         self._doubted: int | None = None
         """First byte of a record that may be a message with a damaged opcode, if no CRC says that it is none."""
         try:
-            with GuardedFile(self.file, self.limits) as stream:
-                self.size_bytes = stream.size_bytes
+            with self.file.path.open("rb") as stream:
+                self.size_bytes = stream.seek(0, os.SEEK_END)
+                stream.seek(0)
                 require_magic(self.path, stream.read(len(MAGIC)))
                 self._read_summary(stream)
         except OSError as error:
@@ -217,18 +212,14 @@ class Salvage:
 
     def _read_summary(self, stream: IO[bytes]) -> None:
         """Take descriptions and the chunk index from the summary: those in the data may be damaged."""
-        data_end = 0
-        with suppress(ValueError):  # comes again in reading
-            for item in summary_of(stream):
-                match item:
-                    case records.ChunkIndex() if item.message_start_time <= item.message_end_time:
-                        self._indexed[item.chunk_start_offset] = item
-                    case records.Schema() | records.Channel():
-                        self.described.add(item, in_data=False)
-                    case records.Footer():
-                        data_end = item.summary_start
-        stream.seek(max(data_end - layout.CRC_BYTES, 0))
-        self.has_data_crc = bool(data_end) and any(stream.read(layout.CRC_BYTES))
+        with suppress(OSError, *layout.UNREADABLE):  # comes again in reading
+            data_end, items = summary_of(stream, self.limits)
+            for item in items:
+                self.described.add(item, in_data=False)
+                if isinstance(item, records.ChunkIndex) and item.message_start_time <= item.message_end_time:
+                    self._indexed[item.chunk_start_offset] = item
+            stream.seek(data_end - layout.CRC_BYTES)
+            self.has_data_crc = any(stream.read(layout.CRC_BYTES))
 
     @property
     def last_ns(self) -> int | None:
@@ -248,7 +239,7 @@ class Salvage:
 
     def _found(self, *, with_content: bool) -> Iterator[Found]:
         try:
-            with GuardedFile(self.file, self.limits) as stream:
+            with self.file.path.open("rb") as stream:
                 for record, cut in self._records(stream):
                     yield from self._messages_of(record, cut, with_content=with_content)
                     if self.damages and not self.inside:
@@ -259,7 +250,7 @@ class Salvage:
             raise LogError(f"{self.path}: {error}") from error
         self._conclude()
 
-    def _records(self, stream: GuardedFile) -> Iterator[tuple[Record, str]]:
+    def _records(self, stream: IO[bytes]) -> Iterator[tuple[Record, str]]:
         """Yield the records outside chunks, each with the reason if it is a chunk cut by the end of the file."""
         crc: int | None = crc32(stream.read(len(MAGIC)))
         at: int | None = len(MAGIC)
@@ -273,7 +264,9 @@ class Salvage:
                     self._lose(at, fault)
                 at, crc = self._next(stream, at + 1), None
             else:
-                record = Record(at, head[0], stream.exactly(RECORD.unpack(head)[1]))
+                length = RECORD.unpack(head)[1]
+                require_record(length, self.limits)
+                record = Record(at, head[0], stream.read(length))
                 head = stream.read(RECORD.size)
                 if record.opcode == Opcode.FOOTER:
                     self._finish(record, head, crc)
@@ -308,7 +301,7 @@ class Salvage:
             return f"a {NAMES.get(opcode, hex(opcode))} record does not belong here"
         return ""
 
-    def _start_inside(self, stream: GuardedFile, record: Record, head: bytes) -> int | None:
+    def _start_inside(self, stream: IO[bytes], record: Record, head: bytes) -> int | None:
         """Return where the next record starts if the length of this one is wrong; None if it is right.
 
         ``head`` are the bytes behind it. If it leads to no other record and none starts inside it, only the next one is
@@ -322,14 +315,12 @@ class Salvage:
         inside = self._next(stream, record.start + 1)
         return inside if inside is not None and (inside < record.end or is_end) else None
 
-    def _next(self, stream: GuardedFile, at: int) -> int | None:
+    def _next(self, stream: IO[bytes], at: int) -> int | None:
         """Return the next place where a record starts; None behind the data section."""
         if not self._in_data:
             return None
-        if self._search is None:
-            self._search = _Search(stream, self._is_message)
-            self._is_chunked = bool(self.chunks or self._indexed) or self._search.has_chunk(at)
-        return self._search.next_record(at, chunked=self._is_chunked)
+        self._search = self._search or _Search(stream, self._is_message)
+        return self._search.next_record(at, chunked=bool(self.chunks or self._indexed))
 
     def _lose(self, at: int, fault: str) -> None:
         """Note a place without a record; behind the data section no message is lost."""
@@ -489,8 +480,6 @@ class Salvage:
         self.described.add(item, in_data=self._in_data)
         if isinstance(item, records.Statistics):
             self._statistics = start, item
-        if isinstance(item, records.Metadata):
-            require_gaps(self.described.metadata[-1], self.limits)
 
     def _conclude(self) -> None:
         """Compare the statistics with what was read, and find optional parts that the writer left out."""

@@ -1,13 +1,12 @@
 """Repairs a damaged log: writes what can be read to a new log, with a record of what was lost."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial, reduce
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Final
+from typing import IO, Final
 
 import msgspec
 
@@ -17,7 +16,7 @@ from roadperc_stream.log.records import RECOVERY_RECORD, Metadata
 from roadperc_stream.log.recovery import Salvage
 from roadperc_stream.log.sorting import in_order_within
 from roadperc_stream.log.stored import AnyLog, LogFile, storing
-from roadperc_stream.log.writing import LogWriter, StoredLogWriter
+from roadperc_stream.log.writing import LogWriter
 
 _MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 _VERSION: Final = "2"
@@ -60,12 +59,6 @@ class Recovery:
         """Return the recovery with an end for gaps without one, except gaps that begin later."""
         return self if last_ns is None else replace(self, gaps=tuple(gap.ending(last_ns) for gap in self.gaps))
 
-    def of_at_most(self, gaps: int) -> "Recovery":
-        """Return the recovery with at most this number of gaps; the last one covers the rest."""
-        if len(self.gaps) <= gaps:
-            return self
-        return replace(self, gaps=(*self.gaps[: gaps - 1], reduce(LostSpan.with_more, self.gaps[gaps - 1 :])))
-
     def lines(self, first_ns: int | None) -> Iterator[str]:
         """Yield one line for all losses, then one for each of the first gaps; seconds count from ``first_ns``."""
         yield f"{self.saved} messages saved, {'others are lost' if self.gaps else 'no loss found'}"
@@ -75,10 +68,13 @@ class Recovery:
             yield f"and {len(self.gaps) - _GAPS_LISTED} more gaps"
 
 
-def write_repaired(source: AnyLog, target: Path, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[Salvage, Recovery]:
+def write_repaired(
+    source: AnyLog, target: Path, limits: LimitsConfig = DEFAULT_LIMITS, *, file: IO[bytes] | None = None
+) -> tuple[Salvage, Recovery]:
     """Write what can be read of a log to a new one, with index, CRCs, and a record of what was lost.
 
-    The copy of a whole log has no such record. ``limits`` are those of records and chunks of ``source``.
+    The copy of a whole log has no such record. ``limits`` are those of records and chunks of ``source``; ``file`` is
+    an unnamed one to write to instead of ``target``.
 
     Returns:
         The finished salvage of ``source``, and the recovery in the record.
@@ -87,19 +83,14 @@ def write_repaired(source: AnyLog, target: Path, limits: LimitsConfig = DEFAULT_
         LogError: not one message can be read.
         TargetError: ``target`` cannot be written.
     """
-    return _repaired(LogFile.of(source), partial(LogWriter, target), limits)
-
-
-def _repaired(source: LogFile, writer_of: Callable[[str], LogWriter], limits: LimitsConfig) -> tuple[Salvage, Recovery]:
-    """Write what can be read of a log; ``writer_of`` makes a writer for its profile."""
     salvage = Salvage(source, limits=limits)
     found = salvage.messages()
     messages = in_order_within(found, lambda m: m.log_time_ns, lambda m: len(m.data), _MOST_HELD_BYTES)
     first = next(messages, None)
     if first is None:
-        raise nothing_saved(source.name, salvage.damages)
+        raise nothing_saved(salvage.path, salvage.damages)
     described = salvage.described
-    with writer_of(described.profile) as writer:
+    with LogWriter(target, described.profile, file=file) as writer:
         for message in chain((first,), messages):
             writer.write(message)
         for number in sorted(described.channels):
@@ -107,9 +98,7 @@ def _repaired(source: LogFile, writer_of: Callable[[str], LogWriter], limits: Li
         for attachment in described.attachments:
             writer.attach(attachment)
         earlier = Recovery.of_records(described.metadata) or Recovery(0)
-        recovery = Recovery(salvage.counts.total(), salvage.losses.gaps)
-        if not salvage.whole:
-            recovery = replace(recovery, gaps=(*earlier.gaps, *recovery.gaps)).of_at_most(limits.gaps)
+        recovery = Recovery(salvage.counts.total(), (*earlier.gaps, *salvage.losses.gaps))
         for metadata in described.metadata:
             if salvage.whole or metadata.name != RECOVERY_RECORD:
                 writer.describe(metadata)
@@ -136,5 +125,4 @@ def repaired_copy(source: LogFile, limits: LimitsConfig = DEFAULT_LIMITS) -> Rep
     """
     with storing(str(source)):
         file = TemporaryFile()  # noqa: SIM115 - the log owns it
-    salvage, recovery = _repaired(source, partial(StoredLogWriter, source.name, file=file), limits)
-    return RepairedLog(LogFile.temporary(source.name, file), salvage, recovery)
+    return RepairedLog(LogFile.temporary(source.name, file), *write_repaired(source, source.name, limits, file=file))

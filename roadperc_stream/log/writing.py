@@ -36,8 +36,8 @@ class LogWriter:
     profile: str = ""
     library: str = f"roadperc_stream {__version__}"
     """The program in the header."""
-    messages: int = 0
-    """Number of written messages."""
+    file: IO[bytes] | None = field(default=None, kw_only=True)
+    """An unnamed file of the caller to write to; ``path`` is then only its name in errors."""
     _channel_ids: dict[Channel, int] = field(default_factory=dict)
     _schemas: dict[int, tuple[str, str, bytes]] = field(default_factory=dict)
     """Name, encoding and data, by their ids."""
@@ -54,12 +54,19 @@ class LogWriter:
         return self
 
     def _open(self) -> IO[bytes]:
+        if self.file is not None:
+            return os.fdopen(os.dup(self.file.fileno()), "wb")
         self.path.parent.mkdir(parents=True, exist_ok=True)
         remove_stale_partials(self.path)
         return self._temporary.open("wb")
 
+    @property
+    def messages(self) -> int:
+        """Number of messages in the written chunks."""
+        return self._file.counts.total()
+
     def _errors(self) -> AbstractContextManager[None]:
-        return target_errors(self.path)
+        return storing(str(self.path)) if self.file is not None else target_errors(self.path)
 
     def write(self, message: Message) -> None:
         """Append a message; its channel and schema are registered at their first use.
@@ -68,7 +75,6 @@ class LogWriter:
             TargetError: the log cannot be written, for example on a full disk; the other methods raise it too.
         """
         channel_id = self.register(message.channel)
-        self.messages += 1
         self._chunk.add(channel_id, message)
         if self._growing is not None:
             self._growing.append(message)
@@ -89,7 +95,6 @@ class LogWriter:
         """
         self.end_chunk()
         self._add_chunk(chunk)
-        self.messages += sum(len(index.entries) for index in chunk.message_indexes)
         if self._growing is not None:
             last_ns = chunk.head.last_ns
             self._growing.reach(last_ns if reached_ns is None else min(reached_ns, last_ns))
@@ -198,32 +203,14 @@ class LogWriter:
         require_uninterrupted()
         if self._growing is not None:
             self._growing.finish(self._temporary, self.path)
-        else:
+        elif self.file is None:
             self._temporary.replace(self.path)
 
     def discard(self) -> None:
         """Remove the partial file, if it can be removed."""
-        with suppress(OSError):
-            self._temporary.unlink(missing_ok=True)
-
-
-@dataclass
-class StoredLogWriter(LogWriter):
-    """Writes a log to an unnamed file that the caller owns; ``path`` is its name in errors."""
-
-    file: IO[bytes] = field(kw_only=True)
-
-    def _open(self) -> IO[bytes]:
-        return os.fdopen(os.dup(self.file.fileno()), "wb")
-
-    def _errors(self) -> AbstractContextManager[None]:
-        return storing(str(self.path))
-
-    def _name(self) -> None:
-        """Do nothing: the file stays unnamed."""
-
-    def discard(self) -> None:
-        """Do nothing: the system removes the file when it is closed."""
+        if self.file is None:
+            with suppress(OSError):
+                self._temporary.unlink(missing_ok=True)
 
 
 class MessageCopy:

@@ -13,9 +13,8 @@ from roadperc_stream import log
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.source import LossTimes
-from roadperc_stream.log import Attachment, Channel, LostSpan, Message, Metadata, Recovery
+from roadperc_stream.log import Attachment, Channel, LostSpan, Message, Metadata
 from roadperc_stream.log.sorting import SortedMessages
-from roadperc_stream.log.writing import StoredLogWriter
 from tests.arranged import by_us
 from tests.log.test_pipes import fed
 from tests.test_sample import SAMPLE
@@ -52,17 +51,17 @@ def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
     temporary, seen = tmp_path / "temporary", []
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    complete = StoredLogWriter.complete
+    complete = log.LogWriter.complete
 
     def watched(writer):
         seen.append(list(temporary.iterdir()))
         complete(writer)
 
-    monkeypatch.setattr(StoredLogWriter, "complete", watched)
+    monkeypatch.setattr(log.LogWriter, "complete", watched)
     copy = log.repaired_copy(log.LogFile.of(source))
     repaired = tmp_path / "repaired.mcap"
     log.write_repaired(source, repaired)
-    assert seen == [[]]
+    assert seen == [[], []]
     assert (list(temporary.iterdir()), sorted(tmp_path.iterdir())) == ([], sorted([source, repaired, temporary]))
     with copy.file.path.open("rb") as stream:
         assert stream.read() == repaired.read_bytes()
@@ -110,48 +109,6 @@ def test_many_damages_are_counted_but_not_listed(tmp_path):
     assert salvage.damages[-1].concerns(None, None)
     with pytest.raises(LogError, match=rf"the first of {log.number_of(salvage.damages)} damages"):
         log.summarise(path)
-
-
-def recovered(gaps):
-    return Recovery(5, tuple(gaps))
-
-
-@pytest.mark.promise("Logs", "A record with more than 10,000 gaps is refused before decoding")
-def test_too_many_gaps_are_refused_before_decoding(tmp_path, monkeypatch):
-    gaps = [LostSpan(k, k) for k in range(20)]
-    path = written(tmp_path / "a.mcap", metadata=[recovered(gaps).to_record()])
-    assert Recovery.of_records(log.summarise(path).metadata) == recovered(gaps)
-    with monkeypatch.context() as few:
-        few.setattr(LimitsConfig, "gaps", 19)
-        with pytest.raises(LogError, match=r"a\.mcap: metadata roadperc\.recovery with 20 gaps: expected 19"):
-            log.summarise(path)
-    values = dict(recovered(gaps).to_record().values) | {"gaps": "[" + ",".join(["[0,9]"] * 2_000_000) + "]"}
-    path = written(tmp_path / "many.mcap", metadata=[Metadata("roadperc.recovery", tuple(values.items()))])
-    started = time.process_time()
-    with pytest.raises(LogError, match=r"with 2000000 gaps: expected 10000 at most"):
-        log.summarise(path)
-    assert time.process_time() - started < 5
-
-
-def test_the_last_gap_covers_later_ones():
-    gaps = (LostSpan(1, 2), LostSpan(7, 9), LostSpan(5, 6))
-    assert recovered(gaps).of_at_most(3) == recovered(gaps)
-    assert recovered(gaps).of_at_most(2).gaps == (gaps[0], LostSpan(5, 9))
-    assert recovered([*gaps, LostSpan(None, None)]).of_at_most(1).gaps == (LostSpan(None, None),)
-
-
-def test_a_repair_lists_at_most_the_allowed_gaps(tmp_path, monkeypatch):
-    content = bytearray(SAMPLE.read_bytes())
-    for at in range(1_000_000, len(content) - 1_000_000, 1_000_000):
-        content[at] ^= 1
-    path = tmp_path / "a.mcap"
-    path.write_bytes(content)
-    _, all_gaps = log.write_repaired(path, tmp_path / "all.mcap")
-    monkeypatch.setattr(LimitsConfig, "gaps", 2)
-    _, few = log.write_repaired(path, tmp_path / "few.mcap")
-    assert len(all_gaps.gaps) > len(few.gaps) == 2
-    assert few.gaps[0] == all_gaps.gaps[0]
-    assert few.gaps[1].last_ns == max(gap.last_ns for gap in all_gaps.gaps)
 
 
 def plain_reason(gaps, since_ns, until_ns):

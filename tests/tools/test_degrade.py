@@ -9,11 +9,9 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.cli import replay
 from roadperc_stream.cli.degrade import main
-from roadperc_stream.config import DEFAULT_LIMITS
 from roadperc_stream.geometry.rotations import rotation_angle
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import decoded_messages
-from roadperc_stream.log.file_order import in_file_order
 from roadperc_stream.tools.corruptions.levels import LEVELS
 from tests import logs
 from tests.analytic import STEP_NS
@@ -91,7 +89,7 @@ def test_late_messages_keep_their_stamps_and_the_log_its_order(clean, tmp_path):
     delays = {m.log_time_ns - m.publish_time_ns for topic in (IMAGE, DEPTH) for m in after[topic]}
     assert delays == {0, 200_000_000}
     assert sorted(m.data for m in after[DEPTH]) == sorted(m.data for m in before[DEPTH])
-    times = [m.log_time_ns for m in in_file_order(log.LogFile.of(out), DEFAULT_LIMITS)]
+    times = [m.log_time_ns for m in log.Salvage(out).messages()]
     assert times == sorted(times)
 
 
