@@ -155,11 +155,6 @@ def test_2000_detections_take_limited_time(tmp_path):
     ],
     ids=["cut png", "rows missing", "broken profile", "damaged jpeg", "cut jpeg"],
 )
-def test_messages_of_libpng_and_libjpeg_are_not_printed(tmp_path, data):
-    done = replayed(tmp_path, inputs.replaced("image", encoding.encode_image(STAMP, "camera", "png", data), frames=1))
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 @pytest.mark.promise("The terminal", "A damaged image is reported once")
 def test_a_damaged_image_is_reported_once():
     with pytest.raises(DecodeError, match=r"bytes are not an image: .*truncated"):
