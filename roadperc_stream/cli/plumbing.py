@@ -8,12 +8,18 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from roadperc_stream.cli.launch import COMPLETING
 from roadperc_stream.errors import RegressionError, RoadpercError
 from roadperc_stream.system.process import EXIT_DONE, EXIT_ERROR, discard_output, optional_output
-from roadperc_stream.system.text import print_line
+from roadperc_stream.system.text import print_line, shown
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2; the message is escaped, because a shell's pattern may insert any file name."""
+        super().error(shown(message))
 
 
 def command_parser(name: str, description: str, example: str, usage: str | None = None) -> argparse.ArgumentParser:
@@ -24,7 +30,7 @@ def command_parser(name: str, description: str, example: str, usage: str | None 
     subcommand, version = f"roadperc {name}".strip(), ""
     if "--version" in sys.argv:  # finding it takes 30 ms
         from roadperc_stream import __version__ as version
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=subcommand if not name or sys.argv[0] == subcommand else f"roadperc-{name}",
         usage=usage,
         description=description,
@@ -61,6 +67,11 @@ def run(command: Callable[[], None], error_code: int = EXIT_ERROR) -> int:
     gc.freeze()
     gc.enable()
     warnings.showwarning = _note
+    import logging  # takes 4 ms, not needed for wrong usage
+
+    from roadperc_stream.cli.log_records import ShownRecord
+
+    logging.setLogRecordFactory(ShownRecord)
     try:
         command()
         print(end="", flush=True)

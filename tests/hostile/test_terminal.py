@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 
 import pytest
 
@@ -132,4 +133,30 @@ def test_text_of_a_live_client_is_escaped(replayed):
         server.send_signal(signal.SIGINT)
         out, err = server.communicate(timeout=60)
     require_plain(subprocess.CompletedProcess(command, server.returncode, out, err))
+    assert len(err.splitlines()) == 2
+
+
+LIBRARY = """
+import logging, sys
+from roadperc_stream.cli.plumbing import run
+
+def command():
+    if sys.argv[2] == "own handler":
+        logging.basicConfig()
+    try:
+        raise ValueError(sys.argv[1])
+    except ValueError:
+        logging.getLogger("library").exception("it said %s", sys.argv[1])
+
+sys.exit(run(command))
+"""
+
+
+@pytest.mark.promise("The terminal", "Log records of libraries are escaped, whichever handler prints them")
+@pytest.mark.parametrize("handler", ["own handler", "no handler"])
+def test_log_records_of_libraries_are_escaped(handler):
+    done = subprocess.run([sys.executable, "-c", LIBRARY, EVIL, handler], check=False, capture_output=True, timeout=60)
+    err = done.stderr.decode()
+    assert not COMMANDS & set(err), repr(err)
+    assert [f"it said {SHOWN}" in err, f"ValueError: {SHOWN}" in err] == [True, True]
     assert len(err.splitlines()) == 2
