@@ -148,4 +148,4 @@ $(EVENT_LOGS): $(PICTURES)/%.mcap: $(VENV)/.installed
 
 clean:
 	rm -rf $(VENV) $(DEMO) build dist *.egg-info
-	rm -f $(foreach folder,kernels system,$(addprefix roadperc_stream/$(folder)/*.,c so pyd))
+	rm -f $(addprefix roadperc_stream/kernels/*.,c so pyd)

@@ -28,7 +28,6 @@ from .machine import require_result, write_json
 from .runs import Run
 from .scan import objects_of, rows_of
 
-WriteClips = Callable[[Sequence[Event], Mapping[LogKey, Run], argparse.Namespace], None]
 _LISTED: Final = 40
 """Events in the table."""
 
@@ -47,10 +46,8 @@ class _Place:
     runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
 
 
-def find(arguments: argparse.Namespace, write_clips: WriteClips | None) -> None:
+def find(arguments: argparse.Namespace) -> None:
     """Print the events of a condition, and write the files that the options name.
-
-    ``write_clips`` is None without clips, since its import is slow.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or the condition does not fit.
@@ -68,7 +65,9 @@ def find(arguments: argparse.Namespace, write_clips: WriteClips | None) -> None:
         values = {"condition": arguments.condition, "peak": condition.peak, "events": of_events}
         write_json(require_result(arguments.json), values)
     print_lines(console_for(sys.stdout), *_lines(events, condition, arguments.condition), unbroken=True)
-    if events and write_clips:
+    if events and arguments.clips:
+        from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
+
         with ExitStack() as files:
             write_clips(events, place.runs(list(dict.fromkeys(map(_key, events))), files), arguments)
 

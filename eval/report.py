@@ -2,10 +2,9 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
@@ -28,17 +27,14 @@ from .slices import slices_of_runs
 from .summary import Summary, summarise_group, summarise_run
 from .trajectory import in_short
 
-WritePage = Callable[[Path, list[Run]], None]
 RUNS_LISTED: Final = 40
 """Most rows of the table of runs with ``--full``."""
 _HAS_TRUE_POSES: Final = "turn_error_deg"
 _MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
-def print_report(arguments: argparse.Namespace, write_page: WritePage | None) -> None:
+def print_report(arguments: argparse.Namespace) -> None:
     """Print the figures of finished runs, and write the files that the options name.
-
-    ``write_page`` is None without a page, since its import is slow.
 
     Raises:
         TableError: an argument names no run, no run has a frame, or a column does not exist.
@@ -48,7 +44,9 @@ def print_report(arguments: argparse.Namespace, write_page: WritePage | None) ->
     filled = [item for item in found.runs if item.frames]
     if not filled:
         raise TableError(f"{found.runs[0].why_empty}; expected a table with frames")
-    if arguments.html is not None and write_page is not None:
+    if arguments.html is not None:
+        from .html.page import write_page  # noqa: PLC0415 - only the page needs plotly
+
         write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
     answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
     findings = findings_of(filled)

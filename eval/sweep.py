@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -31,8 +31,6 @@ LEGEND: Final = (
     "best: among the settings with the highest coverage; lower coverage: better, but in fewer frames",
     "time: only for comparing settings, which share the decoding; a replay takes longer",
 )
-DegradeLog = Callable[..., object]
-"""``tools.degrade.degrade_log``, which writes a log with corruptions."""
 CURVES: Final = "curves.svg"
 
 
@@ -100,7 +98,7 @@ def _changes(item: Combination, reference: Combination) -> str:
     return " ".join(f"{name}={shown(value)}" for name, value, before in pairs if value != before) or "reference"
 
 
-def sweep(arguments: argparse.Namespace, degrade_log: DegradeLog | None = None) -> None:
+def sweep(arguments: argparse.Namespace) -> None:
     """Replay logs under every combination of settings, or with corruptions, and print the scores.
 
     Raises:
@@ -119,7 +117,7 @@ def sweep(arguments: argparse.Namespace, degrade_log: DegradeLog | None = None) 
     if arguments.baseline is not None:
         robustness.require_baseline(arguments.baseline, facts)
     with dataset(arguments.out, arguments.force) as folder:
-        jobs = list(_jobs(arguments, made, folder, degrade_log))
+        jobs = list(_jobs(arguments, made, folder))
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
             notes = sweep_logs(jobs, arguments.jobs, bar)
         describe(folder, made, facts)
@@ -129,16 +127,16 @@ def sweep(arguments: argparse.Namespace, degrade_log: DegradeLog | None = None) 
     _print(arguments, made, reference_of(made, cfg))
 
 
-def _jobs(
-    arguments: argparse.Namespace, made: tuple[Combination, ...], folder: Path, degrade_log: DegradeLog | None
-) -> Iterator[Job]:
+def _jobs(arguments: argparse.Namespace, made: tuple[Combination, ...], folder: Path) -> Iterator[Job]:
     """A job per log; with corruptions also one per combination, because each replays another log."""
     overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
     for path, name in zip(arguments.logs, table_names(arguments.logs), strict=True):
         job = Job(path, name, folder, made, overrides, time_range)
-        if degrade_log is None:
+        if not arguments.degrade:
             yield job
             continue
+        from roadperc_stream.tools.degrade import degrade_log  # noqa: PLC0415 - only corruptions need it
+
         for item in made:
             chosen = {str(item.settings["corruption"]): int(item.settings["severity"] or 0)} if item.number else {}
             degrade = partial(degrade_log, severities=chosen, seed=arguments.seed, overrides=overrides)

@@ -4,9 +4,8 @@ import argparse
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import polars as pl
@@ -45,7 +44,6 @@ from .place import (
 from .reading import FRAMES, SPAN_NS
 from .worst import LogKey, Row, key_of, worst_logs
 
-WritePage = Callable[[Path, Dataset], None]
 FAILED_LISTED: Final = 20
 _FEW: Final = 3
 """Failed logs and worst logs in the short report."""
@@ -178,10 +176,10 @@ def _count(rows: pl.DataFrame) -> str:
     return f"{rows.height} ({listed(names, 3)})"
 
 
-def print_dataset(dataset: Dataset, arguments: argparse.Namespace, write_page: WritePage | None) -> None:
+def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
     """Print the figures of a dataset by group, and its worst logs, and write the files that the options name.
 
-    Without ``by`` the groups are configurations, and versions if they differ. ``write_page`` is None without a page.
+    Without ``by`` the groups are configurations, and versions if they differ.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or a column does not exist.
@@ -194,10 +192,12 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace, write_page: W
             raise TableError(f"{dataset.address}: {NO_TABLES}")
         print_lines(console, *_statuses(runs, FAILED_LISTED), unbroken=True)
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
-    if write_page is not None:
-        write_page(arguments.html, dataset)
+    if arguments.html is not None:
+        from ..html.dataset_page import write_dataset_page  # noqa: PLC0415 - only the page needs plotly
+
+        write_dataset_page(arguments.html, dataset)
     _print_tables(console, dataset, runs, files, arguments)
-    if write_page is not None:
+    if arguments.html is not None:
         print_lines(console, "", f"page   {arguments.html}", unbroken=True)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from roadperc_stream.cli.completers import completed_by, files, settings, topics, words
-from roadperc_stream.cli.plumbing import number, part, seconds, whole_number
+from roadperc_stream.cli.plumbing import number, seconds, whole_number
 from roadperc_stream.schemas.topics import NEEDS, STAGES, switched_off
 from roadperc_stream.view.live import FASTEST, SLOWEST, PlaybackOptions
 
@@ -72,7 +72,9 @@ def about_log(cfg: "ReplayConfig", arguments: argparse.Namespace) -> "ReplayConf
     path: Path | None = arguments.calibration
     found = CalibrationConfig()
     if path is not None:
-        known = part("tools.layouts.dump").calibration_in(path).model_dump(include=set(CalibrationConfig.model_fields))
+        from roadperc_stream.tools.layouts.dump import calibration_in
+
+        known = calibration_in(path).model_dump(include=set(CalibrationConfig.model_fields))
         found = CalibrationConfig.model_validate(known)
     found = found.with_options(path, arguments.fov, arguments.height)
     labels: Path | None = vars(arguments).get("labels")

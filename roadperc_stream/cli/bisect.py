@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_topic_argument
 from roadperc_stream.cli.completers import LOGS, completed_by, files, settings
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
 
 _EXAMPLE = """\
@@ -27,8 +27,9 @@ exit codes:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-bisect``: write the excerpt, and print the commands that show the failure."""
     arguments = parse(_parser(), argv)
-    bisecting = part("eval.bisect")
-    return run(lambda: bisecting.bisect(arguments), EXIT_UNDECIDED)
+    from roadperc_stream.eval.bisect import bisect
+
+    return run(lambda: bisect(arguments), EXIT_UNDECIDED)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
 
 _EXAMPLE = """\
@@ -37,8 +37,9 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_one_task(parser, arguments)
-    checking = part("eval.check")
-    return run(lambda: checking.check(arguments), EXIT_UNDECIDED)
+    from roadperc_stream.eval.check import check
+
+    return run(lambda: check(arguments), EXIT_UNDECIDED)
 
 
 def _require_one_task(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
 
 _EXAMPLE = """\
@@ -40,13 +40,15 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_two(parser, arguments)
-    comparing = part("eval.compare")
-    return run(lambda: comparing.compare(arguments), EXIT_UNDECIDED)
+    from roadperc_stream.eval.compare import compare
+
+    return run(lambda: compare(arguments), EXIT_UNDECIDED)
 
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if the arguments do not name two sides."""
-    dataset_at = part("eval.dataset.place").dataset_at
+    from roadperc_stream.eval.dataset.place import dataset_at
+
     if arguments.new is None and dataset_at(arguments.base) is None:
         parser.error(f"{arguments.base}: expected NEW, or the OUT_DIR of a batch as BASE")
     for side, argument in (("base", arguments.base), ("new", arguments.new or arguments.base)):
@@ -96,13 +98,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_rules(parser: argparse.ArgumentParser) -> None:
-    rules = part("eval.options")
+    from roadperc_stream.eval.options import allowance, tolerance
+
     allowed = (
         "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of the base's mean; "
     )
     for option, metavar, kind, text in (
         ("--ignore", "NAME", str, "ignore fields and metrics that match this glob"),
-        ("--tolerance", "FIELD=VALUE", rules.tolerance, "allowed absolute difference of the fields that match a glob"),
-        ("--allow", "[METRIC=]VALUE", rules.allowance, f"{allowed}N%% alone applies to all metrics except times"),
+        ("--tolerance", "FIELD=VALUE", tolerance, "allowed absolute difference of the fields that match a glob"),
+        ("--allow", "[METRIC=]VALUE", allowance, f"{allowed}N%% alone applies to all metrics except times"),
     ):
         parser.add_argument(option, metavar=metavar, type=kind, action="append", default=[], help=text)

@@ -6,7 +6,7 @@ from typing import Final
 
 from roadperc_stream.cli.arguments import add_camera_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, roles_in_dump
-from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, number, parse, run
 from roadperc_stream.schemas.role_names import ROLES
 
 _EXAMPLE: Final = """\
@@ -58,8 +58,9 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     arguments.role = [_role(parser, option) for option in arguments.role]
-    converting = part("tools.carla_to_mcap")
-    return run(lambda: converting.convert(arguments))
+    from roadperc_stream.tools.carla_to_mcap import convert
+
+    return run(lambda: convert(arguments))
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +72,8 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from roadperc_stream.tools.layouts import LAYOUTS
+
     parser = command_parser(
         "convert",
         "Convert a dataset, a CARLA dump, images or videos to a log. The command detects the layout and prints it.",
@@ -90,12 +93,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ROLE=PATH",
         help=f"use this folder for a role: {', '.join(ROLES)}",
     )
-    layouts = part("tools.layouts").LAYOUTS
     parser.add_argument(
         "--layout",
-        choices=layouts,
+        choices=LAYOUTS,
         metavar="NAME",
-        help=f"read the folder as this layout (default: detected): {', '.join(layouts)}",
+        help=f"read the folder as this layout (default: detected): {', '.join(LAYOUTS)}",
     )
     parser.add_argument("--sequence", metavar="NN", help="sequence of a dataset with several")
     parser.add_argument("--carla", dest="tags", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")

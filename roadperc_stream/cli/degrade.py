@@ -7,7 +7,7 @@ from typing import Final
 
 from roadperc_stream.cli.arguments import SEED, add_topic_argument
 from roadperc_stream.cli.completers import completed_by, files, words
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, parse, run
 
 _EXAMPLE: Final = """\
 example:
@@ -23,12 +23,14 @@ corruptions:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-degrade``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     arguments = parse(_parser(), argv)
-    degrading = part("tools.degrade")
-    return run(lambda: degrading.degrade(arguments))
+    from roadperc_stream.tools.degrade import degrade
+
+    return run(lambda: degrade(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:
-    levels = part("tools.corruptions.levels")
+    from roadperc_stream.tools.corruptions import levels
+
     parser = command_parser(
         "degrade",
         "Write a log with corruptions. The same seed gives the same bytes. The truth and all other messages stay.",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_topic_argument
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, number, parse, run
 
 _EXAMPLE = """\
 example:
@@ -21,9 +21,9 @@ example:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-find``: print the events, with the command that shows each."""
     arguments = parse(_parser(), argv)
-    finding = part("eval.find")
-    write_clips = part("eval.clips").write_clips if arguments.clips else None
-    return run(lambda: finding.find(arguments, write_clips))
+    from roadperc_stream.eval.find import find
+
+    return run(lambda: find(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:

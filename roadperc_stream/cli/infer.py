@@ -1,15 +1,13 @@
 """``roadperc-infer``: write the channels that networks compute from a log's images."""
 
 import argparse
-from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.arguments import about_log
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.convert import add_recording_arguments
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
+from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
 
 _USAGE: Final = """\
 %(prog)s [options] IN OUT.mcap --network FILE.toml [--network FILE.toml]
@@ -34,30 +32,28 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-infer``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     parser = _parser()
     arguments = parse(parser, argv)
-    with suppress(ImportError):
-        import_module("onnxruntime")  # an extra; imported before ``run``, as its own import swallows signals
     if arguments.check is not None:
         if len(arguments.check) not in _CHECK_WORDS or arguments.source is not None:
             parser.error("--check: expected FILE.toml IMAGE [OUT.png] and no other files")
         description, image, *picture = arguments.check
         out = Path(picture[0] if picture else f"{Path(image).stem}.check.png")
-        checking = part("tools.networks.check_picture")
-        return run(lambda: checking.check(Path(description), Path(image), out, force=arguments.force))
+        from roadperc_stream.tools.networks.check_picture import check
+
+        return run(lambda: check(Path(description), Path(image), out, force=arguments.force))
     if arguments.out is None or not arguments.network:
         parser.error("expected IN OUT.mcap and --network FILE.toml")
-    from roadperc_stream.log import is_log
-
-    inferring = part("tools.infer")
     from roadperc_stream.config import ReplayConfig
+    from roadperc_stream.log import is_log
+    from roadperc_stream.tools.infer import infer
 
     source_is_log = is_log(arguments.source)
     if arguments.rate is not None and source_is_log:
         parser.error(f"--rate: {arguments.source} is a log, which has its own times")
 
-    def infer() -> None:
-        inferring.infer(arguments, about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig())
+    def inferred() -> None:
+        infer(arguments, about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig())
 
-    return run(infer)
+    return run(inferred)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, image_size, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, image_size, parse, run
 
 _DESCRIPTION = """\
 Write the lanes of a run as TuSimple's JSON lines, and score them against true lanes in the same format.
@@ -42,11 +42,15 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if not (arguments.tusimple or arguments.truth):
         parser.error("expected --tusimple FILE, --truth FILE, or both")
-    lanes, options = part("eval.lanes"), (arguments.tusimple, arguments.truth, arguments.pair, arguments.size)
-    return run(lambda: lanes.print_lanes(arguments.log, *options))
+    from roadperc_stream.eval.lanes import print_lanes
+
+    options = arguments.tusimple, arguments.truth, arguments.pair, arguments.size
+    return run(lambda: print_lanes(arguments.log, *options))
 
 
 def _parser() -> argparse.ArgumentParser:
+    from roadperc_stream.eval.options import LanePairing
+
     parser = command_parser("lanes", _DESCRIPTION, _EXAMPLE)
     add = parser.add_argument
     log = add("log", metavar="OUT.mcap", type=Path, help="a log with results of roadperc-replay")
@@ -61,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add(
         "--pair",
-        choices=get_args(part("eval.options").LanePairing),
+        choices=get_args(LanePairing),
         default="stamp",
         help="pair true frames by the stamp in raw_file, or in order (default stamp)",
     )

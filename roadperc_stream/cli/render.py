@@ -4,10 +4,13 @@ import argparse
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from roadperc_stream.cli.completers import completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, image_size, parse, part, run
+from roadperc_stream.cli.plumbing import command_parser, image_size, parse, run
+
+if TYPE_CHECKING:
+    from roadperc_stream.tools.scene.options import RenderOptions
 
 _EXAMPLE: Final = """\
 example:
@@ -24,13 +27,15 @@ with CARLA's left-handed x forward, y right, z up. The same options give the sam
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-render``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     arguments = parse(_parser(), argv)
-    rendering = part("tools.scene.job")
-    return run(lambda: rendering.render_and_report(arguments.dump, _options(arguments), force=arguments.force))
+    from roadperc_stream.tools.scene.job import render_and_report
+
+    return run(lambda: render_and_report(arguments.dump, _options(arguments), force=arguments.force))
 
 
 def _parser() -> argparse.ArgumentParser:
-    facts = part("tools.scene.options")
-    defaults = facts.RenderOptions()
+    from roadperc_stream.tools.scene.options import SCENES, SENSORS, RenderOptions
+
+    defaults = RenderOptions()
     parser = command_parser("render", "Render a scene as a CARLA dump with exact ground truth.", _EXAMPLE)
     add = parser.add_argument
     dump = add("dump", type=Path, metavar="DUMP", help="folder to write")
@@ -40,14 +45,14 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--without",
         action="append",
-        choices=facts.SENSORS,
+        choices=SENSORS,
         default=[],
         metavar="SENSOR",
-        help=f"leave out {', '.join(facts.SENSORS)}",
+        help=f"leave out {', '.join(SENSORS)}",
     )
     add("--seed", type=int, default=defaults.seed, metavar="N", help="seed of all random numbers (0)")
     add("--force", action="store_true", help="replace an earlier dump in the folder")
-    _add_scene(parser.add_argument_group("scene"), facts.SCENES, defaults)
+    _add_scene(parser.add_argument_group("scene"), SCENES, defaults)
     _add_noise(parser.add_argument_group("noise and drops"))
     _add_lane_changes(parser.add_argument_group("lane changes"))
     _add_road(parser.add_argument_group("road"))
@@ -141,13 +146,12 @@ def _add_truth(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--path-truth", action="store_true", help=f"{text}; other options imply it")
 
 
-def _options(arguments: argparse.Namespace) -> Any:
-    """Return the arguments as ``tools.scene.options.RenderOptions``."""
+def _options(arguments: argparse.Namespace) -> "RenderOptions":
+    from roadperc_stream.tools.scene.options import RenderOptions
+
     width, height = arguments.size
     own = {key: value for key, value in vars(arguments).items() if key not in ("dump", "size", "force", "without")}
-    return part("tools.scene.options").RenderOptions(
-        width=width, height=height, without=tuple(arguments.without), **own
-    )
+    return RenderOptions(width=width, height=height, without=tuple(arguments.without), **own)
 
 
 def _numbers(text: str, form: str, example: str) -> tuple[float, ...]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
+from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
 
 _EXAMPLE = """\
 example:
@@ -27,16 +27,18 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-report``: print tables over finished runs."""
     parser = _parser()
     arguments = parse(parser, argv)
-    datasets = [dataset for run_ in arguments.runs if (dataset := part("eval.dataset.place").dataset_at(run_))]
+    from roadperc_stream.eval.dataset.place import dataset_at
+
+    datasets = [dataset for run_ in arguments.runs if (dataset := dataset_at(run_))]
     if datasets:
         if len(arguments.runs) > 1:
             parser.error("expected one OUT_DIR of a batch without any other RUN")
-        of_dataset = part("eval.dataset.report")
-        write_dataset_page = part("eval.html.dataset_page").write_dataset_page if arguments.html else None
-        return run(lambda: of_dataset.print_dataset(datasets[0], arguments, write_dataset_page))
-    report = part("eval.report")
-    write_page = part("eval.html.page").write_page if arguments.html else None
-    return run(lambda: report.print_report(arguments, write_page))
+        from roadperc_stream.eval.dataset.report import print_dataset
+
+        return run(lambda: print_dataset(datasets[0], arguments))
+    from roadperc_stream.eval.report import print_report
+
+    return run(lambda: print_report(arguments))
 
 
 def _expressions(text: str) -> list[str]:
@@ -56,7 +58,8 @@ def _expressions(text: str) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    worst = part("eval.options").WORST_FRAMES
+    from roadperc_stream.eval.options import WORST_FRAMES
+
     parser = command_parser(
         "report",
         "Report on replays: coverage, error and worst frame of each stage, and the latency. For two runs of a log,\n"
@@ -84,8 +87,8 @@ def _parser() -> argparse.ArgumentParser:
         "--worst",
         metavar="N",
         type=whole_number,
-        default=worst,
-        help=f"with --full, list the N worst frames for each error; for a batch, the N worst logs (default {worst})",
+        default=WORST_FRAMES,
+        help="with --full, list the N worst frames for each error; for a batch, the N worst logs (default %(default)s)",
     )
     html = parser.add_argument(
         "--html",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import SEED, add_input_arguments, add_machine_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings, words
-from roadperc_stream.cli.plumbing import command_parser, parse, part, run, whole_number
+from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
 from roadperc_stream.system.files import real_path
 
 _EXAMPLE = """\
@@ -38,12 +38,15 @@ def main(argv: list[str] | None = None) -> int:
     for path in arguments.logs:
         if logs.count(real_path(path)) > 1:
             parser.error(f"argument IN.mcap: {path} is given twice")
-    sweeping = part("eval.sweep")
-    degrade_log = part("tools.degrade").degrade_log if arguments.degrade else None
-    return run(lambda: sweeping.sweep(arguments, degrade_log))
+    from roadperc_stream.eval.sweep import sweep
+
+    return run(lambda: sweep(arguments))
 
 
 def _parser() -> argparse.ArgumentParser:
+    from roadperc_stream.eval.options import varied
+    from roadperc_stream.tools.corruptions.levels import LEVELS, swept
+
     parser = command_parser(
         "sweep",
         "Replay logs under every combination of some settings, or with corruptions, write the metrics to one dataset,\n"
@@ -54,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     vary = parser.add_argument(
         "--vary",
         metavar="KEY=A,B,...",
-        type=part("eval.options").varied,
+        type=varied,
         action="append",
         default=[],
         help="a setting and its values; repeat the option for combinations of settings",
@@ -62,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     degrade = parser.add_argument(
         "--degrade",
         metavar="NAME=A,B,...",
-        type=part("tools.corruptions.levels").swept,
+        type=swept,
         action="append",
         default=[],
         help="a corruption of roadperc-degrade and its severities, instead of settings; the option can be repeated",
@@ -84,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
     add_machine_arguments(parser)
-    completed_by(degrade, words(f"{name}=" for name in part("tools.corruptions.levels").LEVELS))
+    completed_by(degrade, words(f"{name}=" for name in LEVELS))
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files()), (baseline, files())):
         completed_by(action, completer)
     return parser

@@ -6,7 +6,7 @@ from typing import get_args
 
 from roadperc_stream.cli.arguments import add_machine_arguments
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, part, run
+from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, run
 
 _DESCRIPTION = """\
 Compare the estimated poses of a run with the true poses.
@@ -43,13 +43,15 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if arguments.delta_unit == "frames" and arguments.delta != int(arguments.delta):
         parser.error(f"argument --delta: {arguments.delta:g}: expected whole frames, or --delta-unit metres")
-    judging = part("eval.trajectory")
-    delta = judging.Delta(arguments.delta, arguments.delta_unit)
-    return run(lambda: judging.trajectories(arguments, delta))
+    from roadperc_stream.eval.trajectories.errors import Delta
+    from roadperc_stream.eval.trajectory import trajectories
+
+    return run(lambda: trajectories(arguments, Delta(arguments.delta, arguments.delta_unit)))
 
 
 def _parser() -> argparse.ArgumentParser:
-    options = part("eval.options")
+    from roadperc_stream.eval.options import Alignment, DeltaUnit
+
     parser = command_parser("trajectory", _DESCRIPTION, _EXAMPLE)
     add, positive = parser.add_argument, number(ABOVE_0, 1e9, "more than 0")
     runs = add(
@@ -57,12 +59,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add(
         "--align",
-        choices=get_args(options.Alignment),
+        choices=get_args(Alignment),
         help="align the estimate to the truth by rotation and translation (se3), also scale (sim3), the first pose "
         "(origin), or not (none); default se3, or sim3 for a run without scale",
     )
     add("--delta", metavar="N", type=positive, default=1.0, help="distance of the poses of a pair (default 1)")
-    add("--delta-unit", choices=get_args(options.DeltaUnit), default="frames", help="unit of --delta (default frames)")
+    add("--delta-unit", choices=get_args(DeltaUnit), default="frames", help="unit of --delta (default frames)")
     tum = add(
         "--export-tum",
         metavar="DIR",

@@ -1,13 +1,20 @@
 """``roadperc-view``: show a log in Rerun or Foxglove, or write a video."""
 
 import argparse
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import add_serving_arguments, add_topic_argument, given_options, serving_options
 from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, number, parse, part, run, seconds
+from roadperc_stream.cli.plumbing import command_parser, number, parse, run, seconds
+from roadperc_stream.errors import TableError
+from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import is_bag_folder
+
+if TYPE_CHECKING:
+    from roadperc_stream.view.modes import ViewOptions
 
 _EXAMPLE = """\
 example:
@@ -32,13 +39,59 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_sense(parser, arguments)
-    from roadperc_stream.view.modes import view_log, view_runs
+    return run(lambda: _view_runs(arguments) if _needs_lookup(arguments) else _view_log(arguments))
 
-    options = replace(serving_options(arguments), start_s=arguments.start or 0.0)
-    if not _needs_lookup(arguments):
-        return run(lambda: view_log(arguments, options))
-    modules = part("eval.frames"), part("eval.frame_replay")
-    return run(lambda: view_runs(arguments, options, *modules))
+
+def _options(arguments: argparse.Namespace) -> "ViewOptions":
+    from roadperc_stream.view.modes import ViewOptions
+
+    return ViewOptions(
+        parse_topic_options(arguments.topic),
+        arguments.save,
+        arguments.video,
+        arguments.foxglove_layout,
+        arguments.foxglove,
+        replace(serving_options(arguments), start_s=arguments.start or 0.0),
+        arguments.force,
+        arguments.quiet,
+    )
+
+
+def _view_log(arguments: argparse.Namespace) -> None:
+    """Show a log, or a layout without one."""
+    from roadperc_stream.view.frame_times import find_stop
+    from roadperc_stream.view.modes import readable, view
+
+    path, quiet = arguments.log, arguments.quiet
+    logs = [readable(Path(path), recover=arguments.recover, quiet=quiet)] if path else []
+    view(
+        logs, find_stop(logs[0], arguments.frame) if logs and arguments.frame is not None else None, _options(arguments)
+    )
+
+
+def _view_runs(arguments: argparse.Namespace) -> None:
+    """Show a frame of a run, of a dataset's log or of two runs; a log that was not kept is replayed."""
+    from roadperc_stream.eval.frame_replay import shown
+    from roadperc_stream.eval.frames import runs_to_show, worst_frame
+    from roadperc_stream.output.terminal import frame_progress
+    from roadperc_stream.view.frame_times import find_stop
+    from roadperc_stream.view.modes import print_remarks, view
+
+    names, configs = [arguments.log, *([arguments.new] if arguments.new else [])], arguments.config
+    of_each = [[config] for config in configs] if len(names) == len(configs) == 2 else [configs] * len(names)
+    with ExitStack() as files:
+        pairs = zip(names, of_each, strict=True)
+        runs = [found for name, of_one in pairs for found in runs_to_show(name, arguments.of_log, of_one, files)]
+        if len(runs) > 2:
+            raise TableError(f"{' '.join(names)}: expected at most two runs, found {len(runs)}")
+        frame = worst_frame(runs[-1], arguments.worst) if arguments.worst else arguments.frame
+        with frame_progress("replaying", not arguments.quiet) as progress:
+            found = [shown(one, frame, arguments.topic, arguments.set, files, progress) for one in runs]
+        if not arguments.quiet:
+            print_remarks((note for item in found for note in item.notes), {})
+        logs, number_in_log = [item.log for item in found], found[0].number
+        stop = None if number_in_log is None else replace(find_stop(logs[0], number_in_log), frame=frame)
+        view(logs, stop, _options(arguments))
 
 
 def _needs_lookup(arguments: argparse.Namespace) -> bool:

@@ -18,7 +18,6 @@ from roadperc_stream.log.mcap_file import ChunkRecords, McapFile, OpenChunk, Pie
 from roadperc_stream.log.records import Attachment, Channel, Message, Metadata
 from roadperc_stream.log.stored import storing
 from roadperc_stream.system.files import partial_of, remove_stale_partials, target_errors
-from roadperc_stream.system.process import require_uninterrupted
 
 CHUNK_SIZE_BYTES = 1024 * 1024
 _IDS: Final = 65535
@@ -200,7 +199,6 @@ class LogWriter:
             self.discard()
 
     def _name(self) -> None:
-        require_uninterrupted()
         if self._growing is not None:
             self._growing.finish(self._temporary, self.path)
         elif self.file is None:

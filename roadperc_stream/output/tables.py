@@ -20,7 +20,6 @@ from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import cells
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors
-from roadperc_stream.system.process import require_uninterrupted
 
 ROW_GROUP_ROWS: Final = 1000
 FACT_PREFIX: Final = "roadperc."
@@ -290,7 +289,6 @@ class TableWriter:
         try:
             if kind is None:
                 self.complete()
-                require_uninterrupted()
                 with target_errors(self._path):
                     self._temporary.replace(self._path)
         finally:

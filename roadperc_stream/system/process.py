@@ -22,19 +22,6 @@ def ending_signals() -> list[int]:
     return [number for number in ending if signal.getsignal(number) != signal.SIG_IGN]
 
 
-is_interrupted = False
-"""Whether a signal has ended the command; ``cli.plumbing`` sets it."""
-
-
-def require_uninterrupted() -> None:
-    """Raise KeyboardInterrupt again if a signal has ended the command; call it before a file gets its name.
-
-    A library may swallow the exception of a signal, for example while it is imported.
-    """
-    if is_interrupted:
-        raise KeyboardInterrupt
-
-
 @contextmanager
 def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
     """Continue if the output of the block has no reader, or stderr has no space; ``stream`` is stdout by default."""

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.log import LogWriter
-from roadperc_stream.system import process
 from tests import logs
 from tests.analytic import Road
 from tests.commands import run_forked
@@ -58,11 +56,3 @@ def test_partial_files_of_a_killed_command_are_removed(run, tmp_path, command, k
     code, error = ended(tmp_path, command, NEVER, "--force")
     assert code == 0, error
     assert not list(tmp_path.rglob(".*.partial*"))
-
-
-@pytest.mark.promise("Temporary files", "An interrupted log never gets its final name, even if a library drops Ctrl-C")
-def test_a_log_is_not_named_after_a_dropped_signal(tmp_path, monkeypatch):
-    monkeypatch.setattr(process, "is_interrupted", True)
-    with pytest.raises(KeyboardInterrupt), LogWriter(tmp_path / "out.mcap"):
-        pass
-    assert not list(tmp_path.iterdir())

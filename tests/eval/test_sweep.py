@@ -228,7 +228,7 @@ def long_logs(tmp_path_factory):
 @pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, 2), (signal.SIGTERM, 1), (signal.SIGHUP, 1)])
 def test_a_signal_leaves_no_files(long_logs, tmp_path, number, jobs):
     """All processes receive the signal, as with Ctrl-C in a terminal."""
-    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.sweep import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.launch import sweep; sys.exit(sweep())"]
     options = [*map(str, long_logs), *LANES, "--out", str(tmp_path / "out"), "--jobs", str(jobs)]
     process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True, start_new_session=True)
     while process.poll() is None and not list(tmp_path.glob(".out*/0001/.*")):

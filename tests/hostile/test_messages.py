@@ -143,23 +143,6 @@ def test_2000_detections_take_limited_time(tmp_path):
     assert time.process_time() - started < 15
 
 
-@pytest.mark.promise("The terminal", "Messages of libpng and libjpeg are in the frame's reasons, not on the terminal")
-@pytest.mark.parametrize(
-    "data",
-    [
-        png(320, 240)[:-40],
-        png(320, 240, rows=10),
-        png(320, 240, extra=[[b"iCCP", b"x\0\0broken"]]),
-        NOISE[:2000] + bytes(500) + NOISE[2500:],
-        NOISE[:5000],
-    ],
-    ids=["cut png", "rows missing", "broken profile", "damaged jpeg", "cut jpeg"],
-)
-def test_messages_of_libpng_and_libjpeg_are_not_printed(tmp_path, data):
-    done = replayed(tmp_path, inputs.replaced("image", encoding.encode_image(STAMP, "camera", "png", data), frames=1))
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 @pytest.mark.promise("The terminal", "A damaged image is reported once")
 def test_a_damaged_image_is_reported_once():
     with pytest.raises(DecodeError, match=r"bytes are not a complete PNG: .*truncated"):
