@@ -57,6 +57,8 @@ UNKNOWN_MM: Final = 0
 DEPTH_LIMIT_MM: Final = 65535
 _ROWS_AT_ONCE: Final = 32
 """Rows of a depth image that fit into the processor's cache."""
+_LAST_UPRIGHT: Final = 4
+"""Larger EXIF orientations swap rows and columns."""
 
 
 def decode_bgr(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
@@ -108,6 +110,19 @@ def format_of(data: bytes) -> str:
 def video_codec(layout: str) -> str:
     """The codec that the ``format`` of an image message names; empty for images."""
     return next((codec for codec, names in _VIDEOS.items() if re.search(names, layout, re.IGNORECASE)), "")
+
+
+def image_size(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> tuple[int, int]:
+    """Columns and rows of an encoded image by its header, in OpenCV's orientation.
+
+    Raises:
+        DecodeError: not an image, or its size exceeds the limits.
+    """
+    from PIL import ExifTags
+
+    with _opened(data, limits) as image:
+        orientation = image.getexif().get(ExifTags.Base.Orientation, 1) if "exif" in image.info else 1
+        return (image.height, image.width) if orientation > _LAST_UPRIGHT else (image.width, image.height)
 
 
 def _format_among(formats: tuple[str, ...], data: bytes) -> str:

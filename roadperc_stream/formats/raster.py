@@ -125,6 +125,15 @@ class Raster:
         shape = (height, self.width) + (channels,) * (channels > 1)
         return np.ascontiguousarray(rows[:, :used]).view(dtype).reshape(shape)
 
+    def size(self) -> tuple[int, int]:
+        """Columns and rows.
+
+        Raises:
+            DecodeError: as ``pixels``.
+        """
+        self.pixels()
+        return self.width, self.height
+
     def bgr(self) -> Image:
         """(H, W, 3) uint8, also of a grey image.
 

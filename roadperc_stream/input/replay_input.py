@@ -272,9 +272,9 @@ class ReplayInput:
     def _before(self) -> tuple[str, ...]:
         """A note if there is a gap between this log and the result that it continues."""
         lead = self.plan.lead
-        if lead is None or not lead.continues:
+        frames = 0 if lead is None else counted_topics(lead.summary)[self.topics[self.plan.order.reference]]
+        if lead is None or not lead.continues or frames < 2:  # without an interval nothing is a gap
             return ()
-        frames = counted_topics(lead.summary)[self.topics[self.plan.order.reference]]
         before = FileSpan("the continued result", lead.summary.first_ns or 0, lead.end_ns - 1, frames)
         return tuple(joins([before, FileSpan(str(self.summary.path), *self.span_ns, frames=0)]))
 

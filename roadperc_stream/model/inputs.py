@@ -19,6 +19,8 @@ class CameraImage:
     frame_id: str
     decode_bgr: Callable[[], Image] = field(repr=False)
     decode_grey: Callable[[], Image] = field(repr=False)
+    read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
+    """Reads columns and rows without decoding; None if the format does not allow it."""
     lossless: bool = True
     """Whether the message stores the pixels themselves: raw, or as a PNG."""
 
@@ -29,7 +31,7 @@ class CameraImage:
         Raises:
             DecodeError: the bytes are not an image.
         """
-        return self.grey.shape[1], self.grey.shape[0]
+        return self.read_size() if self.read_size else (self.grey.shape[1], self.grey.shape[0])
 
     @cached_property
     def grey(self) -> Image:

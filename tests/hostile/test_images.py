@@ -20,7 +20,7 @@ from tests.fuzz.pictures import POSTSCRIPT
 from tests.hostile import inputs
 
 ROOT = Path(__file__).parents[2]
-DECODERS = (images.decode_bgr, images.decode_grey)
+DECODERS = (images.decode_bgr, images.decode_grey, images.image_size)
 PICTURE = PillowImage.fromarray(np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8))
 
 
@@ -105,6 +105,7 @@ def test_other_formats_are_refused(monkeypatch, fault, data):
 @pytest.mark.parametrize("name", ["PNG", "JPEG", "WEBP"])
 def test_the_size_of_each_format_is_checked(name):
     small, data = LimitsConfig(image_megapixels=0.01), packed(name)
+    assert images.image_size(data, small) == (32, 24)
     assert images.decode_grey(data, small).shape == (24, 32)
     with pytest.raises(DecodeError, match=r"expected limits\.image_megapixels 0\.01"):
         images.decode_bgr(packed(name, PICTURE.resize((320, 240))), small)

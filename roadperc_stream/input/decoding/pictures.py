@@ -40,7 +40,7 @@ def raw(kind: Kind) -> Contents:
             images.require_pixels(kind, raster.width, raster.height, context.limits)
         match kind:
             case "image":
-                return CameraImage(frame_id, raster.bgr, raster.grey)
+                return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
             case "depth":
                 return DepthImage(frame_id, raster.depth)
             case "instances":
@@ -97,7 +97,10 @@ def _of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Pic
         return images.decode_bgr(content, limits)
 
     if kind == "image":
-        return CameraImage(frame_id, bgr, lambda: images.decode_grey(content, limits), _is_png(content))
+        grey, size = images.decode_grey, images.image_size
+        return CameraImage(
+            frame_id, bgr, lambda: grey(content, limits), lambda: size(content, limits), _is_png(content)
+        )
     if kind == "instances":
         if not _is_png(content):
             raise DecodeError("instance masks: expected a lossless PNG with CARLA's coding")
