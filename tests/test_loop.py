@@ -247,7 +247,7 @@ def test_a_full_disk_at_the_end_leaves_neither_log_nor_table(source, monkeypatch
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_leaves_no_file(tmp_path, number):
     source = logs.write(tmp_path / "in.mcap", logs.items(60, road=replace(logs.SMALL, width=160, height=120)))
-    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"]
     process = subprocess.Popen([*command, str(source), str(tmp_path / "out.mcap")], stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not list(tmp_path.glob(".out*")):
         time.sleep(0.01)
