@@ -8,10 +8,9 @@ from io import BufferedReader, BytesIO
 from typing import Any, Final
 
 import lz4.frame
-import zstandard
 from deflate import crc32
 from mcap.opcode import Opcode
-from zstandard import ZstdDecompressor, ZstdError
+from zstandard import ZstdDecompressor
 
 from roadperc_stream.log.layout import (
     MESSAGE,
@@ -89,8 +88,8 @@ def unpacked(head: ChunkHead) -> memoryview:
         ValueError: the data is not valid, or its CRC is wrong.
         RuntimeError, EOFError, ZstdError: it cannot be decompressed.
     """
-    data = _at_once(head)
-    if data is None:
+    data = head.stored
+    if head.compression:
         data = memoryview(_STREAMS[head.compression](head).read(head.size_bytes + 1))
     if len(data) != head.size_bytes:
         raise ValueError(_too_long(head) if len(data) > head.size_bytes else TOO_SHORT)
@@ -101,24 +100,6 @@ def unpacked(head: ChunkHead) -> memoryview:
 def too_many(most: int) -> str:
     """Return the fault of a chunk with more messages than the limit."""
     return f"more messages in a chunk than {most}"
-
-
-def _at_once(head: ChunkHead) -> memoryview | None:
-    """Return the data of a chunk that is a single frame of the declared size; None for any other."""
-    data: bytes | memoryview = head.stored
-    try:
-        if head.compression == "zstd":
-            if zstandard.frame_content_size(head.stored) not in {-1, head.size_bytes}:
-                return None  # the library would allocate that size; -1 is unknown
-            data = ZstdDecompressor().decompress(head.stored, max_output_size=head.size_bytes)
-        elif head.compression == "lz4":
-            frame = lz4.frame.LZ4FrameDecompressor()
-            data = frame.decompress(head.stored, max_length=head.size_bytes + 1)
-            if not frame.eof:
-                return None
-    except (ZstdError, RuntimeError):
-        return None
-    return memoryview(data) if len(data) == head.size_bytes else None
 
 
 def _too_long(head: ChunkHead) -> str:

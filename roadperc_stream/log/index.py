@@ -26,21 +26,16 @@ MOST_HELD_BYTES: Final = 32 * 1024 * 1024
 T = TypeVar("T")
 
 
-def most_at_once(spans: Iterable[tuple[int, int, int]]) -> int:
-    """Return the largest total size of spans that overlap: (first, last, size) each, first and last included."""
+def held_bytes(chunks: Iterable[ChunkIndex]) -> int:
+    """Return the most memory that reading chunks in log-time order takes: the largest total size that overlaps."""
     ends, size, most = list[tuple[int, int]](), 0, 0
-    for first, last, more in sorted(spans):
-        while ends and ends[0][0] < first:
+    for chunk in sorted(chunks, key=lambda chunk: chunk.message_start_time):
+        while ends and ends[0][0] < chunk.message_start_time:
             size -= heapq.heappop(ends)[1]
-        heapq.heappush(ends, (last, more))
-        size += more
+        heapq.heappush(ends, (chunk.message_end_time, chunk.uncompressed_size))
+        size += chunk.uncompressed_size
         most = max(most, size)
     return most
-
-
-def held_bytes(chunks: Iterable[ChunkIndex]) -> int:
-    """Return the most memory that reading chunks in log-time order takes."""
-    return most_at_once((chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size) for chunk in chunks)
 
 
 def may_hold(chunk: ChunkIndex, wanted: Collection[int], start_ns: int | None, end_ns: int | None) -> bool:

@@ -114,7 +114,7 @@ def test_a_log_is_served_as_the_options_say_and_its_layout_has_its_times(tmp_pat
     if not timed:
         (tmp_path / "out.metrics.parquet").unlink()
     served, target = [], tmp_path / "layout.json"
-    monkeypatch.setattr(modes, "serve_log", lambda path, options, *, quiet: served.append((path.name, options, quiet)))
+    monkeypatch.setattr(modes, "serve_log", lambda file, options, *, quiet: served.append((file.path, options, quiet)))
     assert main([str(tmp_path / "out.mcap"), "--foxglove", "--foxglove-layout", str(target), *given]) == 0
     assert served == [(tmp_path / "out.mcap", expected, "--quiet" in given)]
     assert ("/perception/times.total_ms" in target.read_text("utf-8")) is timed

@@ -11,7 +11,6 @@ from roadperc_stream import log
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import TargetError
 from roadperc_stream.log import Channel
-from roadperc_stream.log.index import most_at_once
 from roadperc_stream.log.indexed import IndexedFile
 from roadperc_stream.system.time import TimeRange
 from tests.arranged import ARRANGEMENTS, arranged, by_library, by_topic, plain, shuffled
@@ -130,13 +129,6 @@ def test_a_missing_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
     with pytest.raises(TargetError, match=rf"a\.mcap: cannot be sorted in {tmp_path}/none: .*TMPDIR") as caught:
         next(log.read(summary))
     assert "\n" not in str(caught.value)
-
-
-def test_overlapping_chunks_are_counted_together():
-    assert most_at_once([]) == 0
-    assert most_at_once([(0, 9, 5), (10, 19, 7), (20, 29, 6)]) == 7
-    assert most_at_once([(0, 10, 5), (10, 19, 7), (5, 9, 1)]) == 12
-    assert most_at_once([(k, 100, 1) for k in range(10)]) == 10
 
 
 def read_and_peak(path):
