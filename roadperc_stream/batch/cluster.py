@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.backend import Frames
-from roadperc_stream.batch.task import Outcome, Task, code_digest
+from roadperc_stream.batch.task import RESULTS_VERSION, Outcome, Task
 from roadperc_stream.errors import ClusterError
 from roadperc_stream.system.progress import at_most_every
 
@@ -91,7 +91,7 @@ class RayBackend:
     def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
         if importlib.util.find_spec("ray") is None:
             raise ClusterError("--ray: Ray is not installed; pip install '.[cluster]' in the project's folder")
-        self._request = ClusterRequest(address, jobs, memory_bytes, code_digest())
+        self._request = ClusterRequest(address, jobs, memory_bytes, RESULTS_VERSION)
         self._tasks: dict[str, Task] = {}
         self._state = ClusterState(0, {})
 
@@ -220,8 +220,8 @@ _PROGRESS_EVERY_S: Final = 1.0
 
 
 def code_on_node() -> str:
-    """Digest of the code of the machine that runs this; Ray takes only plain functions."""
-    return code_digest()
+    """The version of the results on the machine that runs this; Ray takes only plain functions."""
+    return RESULTS_VERSION
 
 
 class FrameCount:

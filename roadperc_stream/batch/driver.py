@@ -13,7 +13,7 @@ from roadperc_stream.batch.backend import Backend
 from roadperc_stream.batch.dataset_lock import DatasetLock
 from roadperc_stream.batch.plan import Planner, Step, find_logs
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
-from roadperc_stream.batch.task import BatchJob, LogFiles, Outcome, Task, code_digest, libraries
+from roadperc_stream.batch.task import RESULTS_VERSION, BatchJob, LogFiles, Outcome, Task, libraries
 from roadperc_stream.log import DIGEST_ALGORITHM
 from roadperc_stream.output.tables import config_digest
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, RunRow
@@ -160,7 +160,7 @@ def _row_of(job: BatchJob, log: LogFiles, outcome: Outcome, previous: BatchRow |
         fingerprints=previous.row.fingerprints if previous else (),
         size_bytes=log.size_bytes,
         version=__version__,
-        code=code_digest(),
+        code=RESULTS_VERSION,
         libraries=libraries(),
         config_digest=config_digest(configuration.cfg),
         settings=configuration.settings,

@@ -11,7 +11,7 @@ from roadperc_stream import __version__
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
 from roadperc_stream.batch.storage.addresses import is_address, natural
 from roadperc_stream.batch.storage.location import Location, StoredFile, find_files
-from roadperc_stream.batch.task import LOGS, METRICS, OBJECTS, BatchJob, LogFiles, code_digest, name_in
+from roadperc_stream.batch.task import LOGS, METRICS, OBJECTS, RESULTS_VERSION, BatchJob, LogFiles, name_in
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES
 from roadperc_stream.system.files import TABLE_SUFFIX, read_file
@@ -136,8 +136,8 @@ class Planner:
         row = run.row
         if row.version != __version__:
             return f"was replayed by version {row.version}, this is {__version__}"
-        if row.code != code_digest():
-            return "the chain's code has changed"
+        if row.code != RESULTS_VERSION:
+            return "the results have another version"
         place = row.date or "", row.log_id or "", row.config
         names = {folder: name_in(folder, *place) for folder in (METRICS, OBJECTS, LOGS)}
         if names[METRICS] not in self._stored or names[OBJECTS] not in self._stored:

@@ -12,7 +12,6 @@ from typing import Final, Literal
 
 import tomli_w
 
-import roadperc_stream
 from roadperc_stream.batch.storage.location import Location, StoredFile
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
@@ -20,11 +19,8 @@ from roadperc_stream.system.files import TABLE_SUFFIX
 from roadperc_stream.system.time import WHOLE, TimeRange
 
 _DIGITS: Final = 8
-_FOLDERS: Final = (
-    *("chain", "config", "formats", "geometry", "input", "log"),
-    *("metrics", "model", "output", "resume", "schemas", "system"),
-)
-_RESULTS_DEPEND_ON: Final = ("*.py", *(f"{name}/**/*.py" for name in _FOLDERS))
+RESULTS_VERSION: Final = "1"
+"""Raised by hand when the results of the chain change: a batch then replays all logs again."""
 _LIBRARIES: Final = ("numpy", "opencv-python-headless", "scipy")
 
 
@@ -61,19 +57,6 @@ class BatchConfiguration:
         # All digits: another number is another configuration.
         numbers = {name: str(value).removesuffix(".0") for name, value in limits.items() if value is not None}
         return " ".join((*topics, *(f"--{name} {value}" for name, value in numbers.items())))
-
-
-@cache
-def code_digest() -> str:
-    """Eight hexadecimal digits of the modules that results depend on.
-
-    A change of the chain makes a batch replay all logs again. Compiled kernels do not count: their plain forms have the
-    same results and are among the modules.
-    """
-    root = Path(roadperc_stream.__file__).parent
-    modules = [path for pattern in _RESULTS_DEPEND_ON for path in root.glob(pattern)]
-    texts = {path.relative_to(root).as_posix(): path.read_bytes() for path in modules}
-    return _digest(b"".join(name.encode() + b"\0" + texts[name] for name in sorted(texts)))
 
 
 @cache
@@ -144,7 +127,7 @@ class BatchJob:
         verify: read every log instead of trusting its size and modification time.
         retry_failed: replay damaged and empty logs again, although they have not changed.
         scratch: folder for temporary files on the workers' machines; None for the dataset, or the system's folder.
-        code: digest of the batch's code, which the workers must have too; empty to skip the check.
+        code: the version of the batch's results, which the workers must have too; empty to skip the check.
     """
 
     configuration: BatchConfiguration

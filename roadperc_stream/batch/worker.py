@@ -20,7 +20,7 @@ import roadperc_stream
 from roadperc_stream.batch import task as tasks
 from roadperc_stream.batch.storage.addresses import is_address
 from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.batch.task import BatchJob, Outcome, Task, as_text, code_digest, this_worker
+from roadperc_stream.batch.task import RESULTS_VERSION, BatchJob, Outcome, Task, as_text, this_worker
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
 from roadperc_stream.input import ReplaySource
@@ -215,8 +215,8 @@ def _require_same_code(task: Task) -> None:
     Raises:
         StorageError: it has another version of the program.
     """
-    if task.job.code and task.job.code != code_digest():
-        found = f"{roadperc_stream.__version__}, code {code_digest()}"
+    if task.job.code and task.job.code != RESULTS_VERSION:
+        found = f"{roadperc_stream.__version__}, code {RESULTS_VERSION}"
         raise StorageError(
             f"{this_worker()}: found roadperc_stream {found}, expected code {task.job.code}; install the same version"
         )

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from roadperc_stream.batch.backend import Backend, LocalBackend
 from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, OnProgress
 from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs, code_digest
+from roadperc_stream.batch.task import RESULTS_VERSION, BatchConfiguration, BatchJob, KeepLogs
 from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
@@ -64,7 +64,7 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         kept if arguments.keep_logs else "no",
         timeout_s=arguments.timeout,
         memory_bytes=arguments.memory,
-        code=code_digest(),
+        code=RESULTS_VERSION,
         **{name: getattr(arguments, name) for name in _SAME_NAMES},
     )
 

@@ -1,7 +1,8 @@
 """The results on the sample are those recorded, for each setting that chooses a method.
 
 Other tests compare results with the truth, within its tolerance; this test detects smaller changes. After an intended
-change, record the results with ``pytest tests/chain/test_recorded.py --force-regen``.
+change raise ``RESULTS_VERSION``, so that batches replay their logs again, and record the results with
+``pytest tests/chain/test_recorded.py --force-regen``; remove the earlier recording.
 """
 
 import numpy as np
@@ -9,6 +10,7 @@ import polars as pl
 import polars.selectors as cs
 
 import roadperc_stream as rp
+from roadperc_stream.batch.task import RESULTS_VERSION
 from roadperc_stream.config import load_config
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -33,4 +35,4 @@ def test_the_sample_gives_what_was_recorded(tmp_path, ndarrays_regression):
             rows = pl.read_parquet(sidecar_path(out, table)).drop(TIME_COLUMNS, strict=False)
             measured[f"{table} columns"] = np.array(rows.columns)
             measured[f"{method} {table}"] = rows.select(cs.numeric() | cs.boolean()).cast(pl.Float64).to_numpy()
-    ndarrays_regression.check(measured, default_tolerance=TOLERANCE)
+    ndarrays_regression.check(measured, basename=f"results_{RESULTS_VERSION}", default_tolerance=TOLERANCE)

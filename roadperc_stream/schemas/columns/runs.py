@@ -53,7 +53,7 @@ class RunRow:
     seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
     peak_memory_mb: Annotated[float | None, Column("peak memory of its process", "MB", "the process was killed")]
     version: Annotated[str, Column("version of the program")]
-    code: Annotated[str, Column("digest of the code that results depend on, 8 digits")]
+    code: Annotated[str, Column("version of the results; it is raised when the chain computes other values")]
     libraries: Annotated[str, Column("versions of the libraries that compute")]
     config_digest: Annotated[str, Column("digest of the settings, as in the tables' footers")]
     settings: Annotated[str, Column("the settings that are not the default, as TOML")]
