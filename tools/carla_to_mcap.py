@@ -1,6 +1,5 @@
 """Convert a recording to a log: a dump folder, images, or videos."""
 
-import argparse
 import sys
 import time
 from collections import Counter
@@ -56,48 +55,23 @@ def recording_of(path: Path, options: ConvertOptions) -> Recording:
     return recording_of_drive(layout.read(path, options), options)
 
 
-def convert(arguments: argparse.Namespace) -> None:
-    """Convert a recording; ``arguments.role`` holds pairs of a role and a path.
+def convert(path: Path, out: Path, options: ConvertOptions, *, force: bool = False, quiet: bool = False) -> None:
+    """Convert a recording to a log, and print what was read from where.
 
     Raises:
         RoadpercError: the recording cannot be converted, or the log cannot be written.
     """
-    out = arguments.out
-    require_free(out, force=arguments.force, suffix=".mcap")
+    require_free(out, force=force, suffix=".mcap")
     started = time.monotonic()
-    recording = recording_of(arguments.dump, _options(arguments))
-    terminal = PipeConsole(markup=False, highlight=False, emoji=False, quiet=arguments.quiet)
+    recording = recording_of(path, options)
+    terminal = PipeConsole(markup=False, highlight=False, emoji=False, quiet=quiet)
     if not terminal.is_terminal:
         terminal.width = _PIPED_WIDTH
     with optional_output():
         _print_facts(terminal, recording)
-    count = write(recording, out, force=arguments.force, quiet=arguments.quiet)
+    count = write(recording, out, force=force, quiet=quiet)
     megabytes, seconds = out.stat().st_size / 1e6, time.monotonic() - started
     print_lines(terminal, f"{count} messages, {megabytes:.1f} MB, {seconds:.1f} s: {out}", unbroken=True)
-
-
-def _options(arguments: argparse.Namespace) -> ConvertOptions:
-    return ConvertOptions(
-        roles={role: _role_path(arguments.dump, role, name) for role, name in arguments.role},
-        tags=arguments.tags,
-        fov_deg=arguments.fov,
-        rate_hz=arguments.rate,
-        depth_as_float=arguments.depth == "float",
-        allow_lossy_tags=arguments.allow_lossy_tags,
-        depth_coding=arguments.depth_coding,
-        calibration=arguments.calibration,
-        height_m=arguments.height,
-        layout=arguments.layout,
-        sequence=arguments.sequence,
-    )
-
-
-def _role_path(dump: Path, role: str, name: str) -> Path:
-    """Return the path of ``--role``: inside the dump, else relative to the working directory."""
-    found = next((path for path in (dump / name, Path(name)) if path.exists()), None)
-    if found is None:
-        raise DumpError(f"--role {role}={name}: no such file or folder in {dump} or in the working directory")
-    return found
 
 
 def _warn(texts: Iterable[str]) -> None:

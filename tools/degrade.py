@@ -1,9 +1,7 @@
 """Write a log with corruptions: of known names and severities, the same bytes for the same seed, the truth kept."""
 
-import argparse
 import math
 import shutil
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,13 +23,10 @@ from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messa
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.model import CameraImage, DepthImage, TagImage
 from roadperc_stream.output import encoding
-from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.roles import ROLES, Kind, parse_topic_options
-from roadperc_stream.system.files import completing, require_free
-from roadperc_stream.system.process import optional_output
+from roadperc_stream.schemas.roles import ROLES, Kind
+from roadperc_stream.system.files import completing
 from roadperc_stream.system.progress import Progress, no_progress
-from roadperc_stream.system.text import print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
 from .carla_dump.messages import JPEG_QUALITY, channel_of
@@ -68,25 +63,6 @@ class Degradation:
         return LEVELS[name][self.severities[name] - 1], draw
 
 
-def degrade(arguments: argparse.Namespace) -> None:
-    """Write OUT.mcap with the corruptions.
-
-    Raises:
-        RoadpercError: the input or the output cannot be used, or the log has nothing that a corruption changes.
-    """
-    source, out = arguments.log, arguments.out
-    require_free(out, force=arguments.force, suffix=".mcap", source=source)
-    with frame_progress("degrading", not arguments.quiet) as progress:
-        overrides = parse_topic_options(arguments.topic)
-        remarks = degrade_log(source, out, arguments.severities, arguments.seed, overrides, progress)
-    with optional_output(sys.stderr):
-        for text in remarks:
-            print_line(f"warning: {text}", sys.stderr)
-    if not arguments.quiet:
-        made = ", ".join(f"{name}={severity}" for name, severity in arguments.severities.items())
-        print_line(f"{made}, seed {arguments.seed}, {out.stat().st_size / 1e6:.1f} MB: {out}")
-
-
 def degrade_log(
     source: Path,
     out: Path,
@@ -98,7 +74,7 @@ def degrade_log(
     """Write a log with corruptions and return warnings; without any of severity 1 or more, copy its bytes.
 
     Raises:
-        RoadpercError: as ``degrade``.
+        RoadpercError: the input or the output cannot be used, or the log has nothing that a corruption changes.
     """
     summary = log.summarise(source)
     job = _job(summary, {name: found for name, found in severities.items() if found}, seed, overrides)

@@ -1,11 +1,10 @@
 """Write the segmentation and the detections that networks compute from a log's images."""
 
-import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -26,7 +25,7 @@ from roadperc_stream.model import CameraImage
 from roadperc_stream.output import encoding
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.roles import ROLES, parse_topic_options
+from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.files import require_free, scratch_folder
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
@@ -42,6 +41,17 @@ from .networks.semantic import HorizonEstimate
 from .video_log import videos_of
 
 _IMAGE_ROLES: Final = ("image", "left")
+
+
+@dataclass(frozen=True)
+class InferOptions:
+    """How to infer: ``topics`` by role, ``recording`` for input that is no log; None for a thread per core."""
+
+    topics: Mapping[str, str] = field(default_factory=dict)
+    recording: ConvertOptions = field(default_factory=ConvertOptions)
+    threads: int | None = None
+    force: bool = False
+    quiet: bool = False
 
 
 @dataclass(frozen=True)
@@ -67,25 +77,24 @@ class InferenceJob:
         return {role: channel_of(role, table) for role in self.pair.sessions}
 
 
-def infer(arguments: argparse.Namespace, cfg: ReplayConfig) -> None:
-    """Write OUT.mcap from a log, a ROS bag, or anything that ``roadperc-convert`` reads.
+def infer(source: Path, out: Path, networks: Sequence[Path], cfg: ReplayConfig, options: InferOptions) -> None:
+    """Write ``out`` from a log, a ROS bag, or anything that ``roadperc-convert`` reads.
 
-    ``cfg`` says what a log does not.
+    ``networks`` are their descriptions; ``cfg`` says what a log does not.
 
     Raises:
         RoadpercError: a network, the input or the output cannot be used.
     """
-    out = arguments.out
-    require_free(out, force=arguments.force, suffix=".mcap", source=arguments.source)
-    pair = load([read_network(path) for path in arguments.network])
-    with one_thread(), _as_log(arguments) as summary:
-        job = _job(summary, pair, arguments, with_recorded(cfg, summary.attachments, arguments.source))
+    require_free(out, force=options.force, suffix=".mcap", source=source)
+    pair = load([read_network(path) for path in networks])
+    with one_thread(), _as_log(source, out, options.recording) as summary:
+        job = _job(summary, pair, options, with_recorded(cfg, summary.attachments, source))
         started = time.monotonic()
-        frames, warnings = _write(job, out, arguments)
+        frames, warnings = _write(job, out, options)
     with optional_output(sys.stderr):
         for text in warnings:
             print_line(f"warning: {text}", sys.stderr)
-    if not arguments.quiet:
+    if not options.quiet:
         used = job.pair.sessions.items()
         made = "; ".join(f"{role} by {network.keys.file} ({session.runtime})" for role, (network, session) in used)
         rate = frames / (time.monotonic() - started)
@@ -93,18 +102,15 @@ def infer(arguments: argparse.Namespace, cfg: ReplayConfig) -> None:
 
 
 @contextmanager
-def _as_log(arguments: argparse.Namespace) -> Iterator[LogSummary]:
+def _as_log(source: Path, out: Path, options: ConvertOptions) -> Iterator[LogSummary]:
     """Yield the log, or a temporary one beside the output that is converted from other input."""
-    summary = log.summarise(log.received([arguments.source])) if log.is_log(arguments.source) else None
+    summary = log.summarise(log.received([source])) if log.is_log(source) else None
     if summary is not None and not _has_only_video(summary):
         yield summary
         return
-    options = ConvertOptions(
-        fov_deg=arguments.fov, rate_hz=arguments.rate, calibration=arguments.calibration, height_m=arguments.height
-    )
-    with scratch_folder(arguments.out) as folder:
-        converted = folder / f"{arguments.source.name or arguments.out.stem}.mcap"
-        write(recording_of(arguments.source, options), converted, force=False, quiet=True)
+    with scratch_folder(out) as folder:
+        converted = folder / f"{source.name or out.stem}.mcap"
+        write(recording_of(source, options), converted, force=False, quiet=True)
         yield log.summarise(converted)
 
 
@@ -115,21 +121,21 @@ def _has_only_video(summary: LogSummary) -> bool:
     return not has_images and bool(videos)
 
 
-def _job(summary: LogSummary, pair: Pair, arguments: argparse.Namespace, cfg: ReplayConfig) -> InferenceJob:
+def _job(summary: LogSummary, pair: Pair, options: InferOptions, cfg: ReplayConfig) -> InferenceJob:
     """Return the job of a log.
 
     Raises:
         ChannelError: there are no images, or existing results may not be replaced.
     """
-    roles = assignment_of_log(summary, parse_topic_options(arguments.topic))
+    roles = assignment_of_log(summary, options.topics)
     image = next((role for role in _IMAGE_ROLES if role in roles.topics), None)
     if image is None:
         raise ChannelError(f"{summary.path}: no channel for role image; choose one with --topic image=/TOPIC")
     there = {role: roles.topics[role] for role in pair.sessions if role in roles.topics}
-    if there and not arguments.force:
+    if there and not options.force:
         listed = ", ".join(f"{role} on {topic}" for role, topic in there.items())
         raise ChannelError(f"{summary.path}: has {listed}; pass --force to replace it")
-    height_m = arguments.height or _camera_height_m(summary, roles, image, cfg)
+    height_m = options.recording.height_m or _camera_height_m(summary, roles, image, cfg)
     return InferenceJob(summary, roles, image, frozenset(there.values()), height_m, pair, cfg)
 
 
@@ -141,15 +147,15 @@ def _camera_height_m(summary: LogSummary, roles: RoleAssignment, image: str, cfg
     return cfg.surface.assumed_height_m if known is None or known[2, 3] <= 0 else float(known[2, 3])
 
 
-def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple[int, list[str]]:
+def _write(job: InferenceJob, out: Path, options: InferOptions) -> tuple[int, list[str]]:
     """Write the copy with the new channels; return the number of frames, and warnings."""
     summary, channels, problems, check, frames = job.summary, job.channels, Problems(), RoadCheck(), 0
     kept = [channel for channel in summary.channels if not is_result(channel) and channel.topic not in job.replaced]
     topic = job.roles.topics[job.image]
     expected = sum(summary.counts.get(c.source_id, 0) for c in summary.channels if c.topic == topic)
-    threads = arguments.threads or usable_cores()
+    threads = options.threads or usable_cores()
     varying = _varying(job)  # before the loop: its memory is limited, so no other thread may run
-    with LogWriter(out, summary.profile) as target, frame_progress("inferring", not arguments.quiet) as progress:
+    with LogWriter(out, summary.profile) as target, frame_progress("inferring", not options.quiet) as progress:
         copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None))
         for channel in channels.values():
             target.register(channel)
@@ -165,7 +171,7 @@ def _write(job: InferenceJob, out: Path, arguments: argparse.Namespace) -> tuple
             raise NoFrameError(f"{summary.path}: no image on {topic} can be read; {'; '.join(problems.first.values())}")
         copy.rest()
         _describe(job, target)
-        require_free(out, force=arguments.force, suffix=".mcap")  # another program may have written it
+        require_free(out, force=options.force, suffix=".mcap")  # another program may have written it
     name = "" if job.pair.segmentation is None else job.pair.segmentation[0].keys.file
     unreadable = [f"{number(count, 'image')} could not be read, skipped" for count in problems.counts.values()]
     return frames, [*varying, *unreadable, *problems.first.values(), *check.warnings(name)]

@@ -7,6 +7,7 @@ from typing import Final
 from roadperc_stream.cli.arguments import add_camera_arguments
 from roadperc_stream.cli.completers import LOGS, completed_by, files, roles_in_dump
 from roadperc_stream.cli.plumbing import command_parser, number, parse, run
+from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.role_names import ROLES
 
 _EXAMPLE: Final = """\
@@ -57,10 +58,27 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-convert``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     parser = _parser()
     arguments = parse(parser, argv)
-    arguments.role = [_role(parser, option) for option in arguments.role]
+    roles = dict(_role(parser, option) for option in arguments.role)
     from roadperc_stream.tools.carla_to_mcap import convert
+    from roadperc_stream.tools.layouts.drive import ConvertOptions
 
-    return run(lambda: convert(arguments))
+    def converted() -> None:
+        options = ConvertOptions(
+            roles={role: _role_path(arguments.dump, role, name) for role, name in roles.items()},
+            tags=arguments.tags,
+            fov_deg=arguments.fov,
+            rate_hz=arguments.rate,
+            depth_as_float=arguments.depth == "float",
+            allow_lossy_tags=arguments.allow_lossy_tags,
+            depth_coding=arguments.depth_coding,
+            calibration=arguments.calibration,
+            height_m=arguments.height,
+            layout=arguments.layout,
+            sequence=arguments.sequence,
+        )
+        convert(arguments.dump, arguments.out, options, force=arguments.force, quiet=arguments.quiet)
+
+    return run(converted)
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
@@ -147,3 +165,11 @@ def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:
     if not separator or not name or role not in ROLES:
         parser.error(f"--role {option}: expected ROLE=PATH with a role of {', '.join(ROLES)}")
     return role, name
+
+
+def _role_path(dump: Path, role: str, name: str) -> Path:
+    """The path of ``--role``: inside the dump, else relative to the working directory."""
+    found = next((path for path in (dump / name, Path(name)) if path.exists()), None)
+    if found is None:
+        raise DumpError(f"--role {role}={name}: no such file or folder in {dump} or in the working directory")
+    return found

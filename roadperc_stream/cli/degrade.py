@@ -1,6 +1,7 @@
 """``roadperc-degrade``: write a log with corruptions of known severity."""
 
 import argparse
+import sys
 from pathlib import Path
 from textwrap import fill
 from typing import Final
@@ -8,6 +9,10 @@ from typing import Final
 from roadperc_stream.cli.arguments import SEED, add_topic_argument
 from roadperc_stream.cli.completers import completed_by, files, words
 from roadperc_stream.cli.plumbing import command_parser, parse, run
+from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.system.files import require_free
+from roadperc_stream.system.process import optional_output
+from roadperc_stream.system.text import print_line
 
 _EXAMPLE: Final = """\
 example:
@@ -23,9 +28,24 @@ corruptions:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-degrade``: exit code 0 on success, 1 on an error, 2 on wrong usage."""
     arguments = parse(_parser(), argv)
-    from roadperc_stream.tools.degrade import degrade
+    return run(lambda: _degrade(arguments))
 
-    return run(lambda: degrade(arguments))
+
+def _degrade(arguments: argparse.Namespace) -> None:
+    from roadperc_stream.output.terminal import frame_progress
+    from roadperc_stream.tools.degrade import degrade_log
+
+    source, out, severities = arguments.log, arguments.out, arguments.severities
+    require_free(out, force=arguments.force, suffix=".mcap", source=source)
+    with frame_progress("degrading", not arguments.quiet) as progress:
+        overrides = parse_topic_options(arguments.topic)
+        remarks = degrade_log(source, out, severities, arguments.seed, overrides, progress)
+    with optional_output(sys.stderr):
+        for text in remarks:
+            print_line(f"warning: {text}", sys.stderr)
+    if not arguments.quiet:
+        made = ", ".join(f"{name}={severity}" for name, severity in severities.items())
+        print_line(f"{made}, seed {arguments.seed}, {out.stat().st_size / 1e6:.1f} MB: {out}")
 
 
 def _parser() -> argparse.ArgumentParser:

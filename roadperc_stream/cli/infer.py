@@ -8,6 +8,7 @@ from roadperc_stream.cli.arguments import about_log
 from roadperc_stream.cli.completers import LOGS, completed_by, files
 from roadperc_stream.cli.convert import add_recording_arguments
 from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
+from roadperc_stream.schemas.roles import parse_topic_options
 
 _USAGE: Final = """\
 %(prog)s [options] IN OUT.mcap --network FILE.toml [--network FILE.toml]
@@ -44,14 +45,21 @@ def main(argv: list[str] | None = None) -> int:
         parser.error("expected IN OUT.mcap and --network FILE.toml")
     from roadperc_stream.config import ReplayConfig
     from roadperc_stream.log import is_log
-    from roadperc_stream.tools.infer import infer
+    from roadperc_stream.tools.infer import InferOptions, infer
+    from roadperc_stream.tools.layouts.drive import ConvertOptions
 
     source_is_log = is_log(arguments.source)
     if arguments.rate is not None and source_is_log:
         parser.error(f"--rate: {arguments.source} is a log, which has its own times")
 
     def inferred() -> None:
-        infer(arguments, about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig())
+        cfg = about_log(ReplayConfig(), arguments) if source_is_log else ReplayConfig()
+        recording = ConvertOptions(
+            fov_deg=arguments.fov, rate_hz=arguments.rate, calibration=arguments.calibration, height_m=arguments.height
+        )
+        topics = parse_topic_options(arguments.topic)
+        options = InferOptions(topics, recording, arguments.threads, arguments.force, arguments.quiet)
+        infer(arguments.source, arguments.out, arguments.network, cfg, options)
 
     return run(inferred)
 
