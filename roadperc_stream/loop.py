@@ -5,7 +5,6 @@ from dataclasses import replace
 from itertools import islice
 from time import perf_counter, thread_time
 
-from roadperc_stream.chain.own_stage import OwnStages
 from roadperc_stream.chain.prepare import prepare
 from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig
@@ -51,16 +50,17 @@ def replay(
         opened = open_replay(source, cfg, options)
         summary = finished(target, opened) if options.resume and found is None else None
         if summary is None:
-            start = Checkpoint(run_of(opened, target), opened.begin)
+            start = Checkpoint(run_of(opened, target), opened.initial)
             checkpoints = Checkpoints(folder, options.checkpoint_every_s, start, found, force=target.force)
-            was_killed = options.resume and folder.path.exists() and not target.is_complete
-            target = replace(target, force=target.force or found is not None or was_killed)
-            summary = _write(source, target, opened, options, checkpoints, callbacks=callbacks)
+            target = replace(
+                target, force=target.force or (options.resume and folder.proves_ours(is_complete=target.is_complete))
+            )
+            summary = _replay_opened(source, target, opened, options, checkpoints, callbacks=callbacks)
         folder.remove()
     return replace(summary, seconds=perf_counter() - started)
 
 
-def _write(
+def _replay_opened(
     source: ReplaySource,
     target: ReplayTarget,
     opened: OpenedLog,
@@ -73,8 +73,8 @@ def _write(
     outputs = Outputs(target, opened.input.cfg, opened.input, opened.table_facts())
     checkpoints.begin()
     with one_thread(), all_or_none(*outputs.files):
-        frames = _Frames(opened, outputs, checkpoints, callbacks)
-        frames.replay(options.threads, options.own)
+        frames = _Frames(opened, outputs, checkpoints, callbacks, options)
+        frames.run()
         states, notes = ((), ()) if target.results_only else frames.end.attached()
         outputs.end(opened.facts(), states)
         target.require_free(source.files)  # another program may have written them
@@ -87,24 +87,30 @@ _Timed = tuple[Sample, StageTimer]
 class _Frames:
     """The frames of one replay; the steps may run in different threads, one after the other for each frame."""
 
-    def __init__(self, opened: OpenedLog, outputs: Outputs, checkpoints: Checkpoints, callbacks: Callbacks) -> None:
-        self._cfg, self._input = opened.input.cfg, opened.input
+    def __init__(
+        self,
+        opened: OpenedLog,
+        outputs: Outputs,
+        checkpoints: Checkpoints,
+        callbacks: Callbacks,
+        options: ReplayOptions,
+    ) -> None:
+        self._cfg, self._input, self._threads, self._own = opened.input.cfg, opened.input, options.threads, options.own
         self._outputs, self._checkpoints, self._callbacks = outputs, checkpoints, callbacks
         self._samples = self._written = 0
         self.end = opened.end_state()
-        self._chain, self._earlier = checkpoints.begun.state.chain, checkpoints.begun.state.earlier
+        self._chain, self._earlier = checkpoints.progress.state.chain, checkpoints.progress.state.earlier
 
-    def replay(self, threads: int, own: OwnStages) -> None:
+    def run(self) -> None:
         """Write all frames: copy those of an interrupted replay, compute the others."""
-        self._threads, self._own, samples = threads, own, self._input.samples()
-        begun = self._checkpoints.begun
-        self._outputs.begin(self._callbacks, begun.state.shown)
-        for sample in islice(samples, begun.samples):
+        samples, progress = self._input.samples(), self._checkpoints.progress
+        self._outputs.begin(self._callbacks, progress.state.shown)
+        for sample in islice(samples, progress.samples):
             if sample.is_written:
                 self._outputs.write_again(sample, self._checkpoints.next_output(sample.index))
-            self._done(sample, begun.state)
-        read = Pipeline[_Timed](self._read(samples), apart=bool(own))
-        read.then(self._prepare).then(self._step).then(self._write).run(threads)
+            self._done(sample, progress.state)  # the state counts after the last of them
+        read = Pipeline[_Timed](self._read(samples), apart=bool(self._own))
+        read.then(self._prepare).then(self._step).then(self._write).run(self._threads)
 
     def _read(self, samples: Iterator[Sample]) -> Iterator[_Timed]:
         while True:
@@ -131,15 +137,14 @@ class _Frames:
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
                 objects = object_metrics(self._input.log_id, sample, result)
-                evidence = evidence_of(self._cfg, sample.frame, result)
-                output = FrameOutput(messages=(), row=row, times_ms={}, objects=tuple(objects), evidence=evidence)
+                output = FrameOutput((), row, {}, tuple(objects), evidence_of(self._cfg, sample.frame, result))
             self._checkpoints.keep(self._outputs.write(sample, result, output, timer))
         self._earlier = sample.as_earlier
         self._done(sample, ReplayState(chain, self._earlier, self._outputs.shown))
 
     def _done(self, sample: Sample, state: ReplayState) -> None:
         self._samples, self._written = self._samples + 1, self._written + sample.is_written
-        self.end.reached(sample.complete, state)
-        if sample.complete is not None:
+        self.end.reached(sample.settled, state)
+        if sample.settled is not None:
             self._checkpoints.reached(sample.log_time_ns, self._samples, state)
         self._callbacks.on_progress(self._written, self._input.expected_frames)

@@ -182,7 +182,7 @@ def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monke
 @pytest.mark.parametrize(("number", "threads"), [(signal.SIGTERM, 2), (signal.SIGINT, 3), (signal.SIGTERM, 1)])
 def test_a_signal_leaves_only_the_checkpoint_and_prints_how_to_continue(tmp_path, number, threads):
     source, target = logs.write(tmp_path / "in.mcap", items_of(50)), tmp_path / "out.mcap"
-    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"]
     options = ["--threads", str(threads), "--checkpoint-every", "0.2", "--set", "sync.max_wait_s=0.1"]
     process = subprocess.Popen(
         [*command, str(source), str(target), *options, "--only", "surface"], stderr=subprocess.PIPE, text=True
@@ -209,7 +209,7 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
         return worked
 
     monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
-    monkeypatch.setattr(prepare, "_sensor_depth", taking(3, prepare._sensor_depth))
+    monkeypatch.setattr(prepare, "_with_depth", taking(3, prepare._with_depth))
     monkeypatch.setattr(loop, "frame_metrics", taking(5, loop.frame_metrics))
     monkeypatch.setattr(writing.MessageCopy, "through", taking(7, writing.MessageCopy.through))
     monkeypatch.setattr(writing.Outputs, "_messages", taking(11, writing.Outputs._messages))

@@ -113,7 +113,7 @@ def _one_pass(job: Job, path: Path, group: Sequence[Combination], progress: Prog
     for item in group:
         facts = table_facts(job.source, job.source, item.cfg)
         table = TableWriter(job.folder / item.folder / job.table, FrameMetrics, facts, TIME_COLUMNS, item.settings)
-        candidates.append(Candidate(item.cfg, own_stages(item.cfg)[1], table, opened.begin))
+        candidates.append(Candidate(item.cfg, own_stages(item.cfg)[1], table, opened.initial))
     with one_thread(), ExitStack() as tables:
         for candidate in candidates:
             tables.enter_context(candidate.table)

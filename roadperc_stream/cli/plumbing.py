@@ -83,6 +83,11 @@ def run(command: Callable[[], None], error_code: int = EXIT_ERROR) -> int:
     except (RoadpercError, KeyboardInterrupt, MemoryError, OSError, UnicodeEncodeError) as error:
         _say(f"error: {_words_of(error)}")
         return error_code
+    except Exception as error:
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        _say("error: interrupted")  # a late import puts another error around the interruption
+        return error_code
     return EXIT_DONE
 
 

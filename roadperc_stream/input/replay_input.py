@@ -20,7 +20,7 @@ from roadperc_stream.input.sync import Paired, StampPairing, reference_of
 from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.input.window import LeadIn
 from roadperc_stream.log import DIGEST_ALGORITHM, Channel, LogSummary, LostSpan, Recovery, counted_topics
-from roadperc_stream.model import UNWRITTEN, FrameResult, LastComplete, Sample
+from roadperc_stream.model import UNWRITTEN, FrameResult, Sample, SettledFrame
 from roadperc_stream.model.finding import Finding
 from roadperc_stream.model.reason import UNUSABLE
 from roadperc_stream.schemas import record
@@ -133,7 +133,8 @@ class ReplayInput:
         self._begin()
         plan, lead = self.plan, self.plan.lead
         last = None if lead is None else lead.last
-        before_ns, number, new_frames = (None, 0, 0) if last is None else (last.log_time_ns, last.number + 1, 0)
+        before_ns, number = (None, 0) if last is None else (last.log_time_ns, last.number + 1)
+        new_frames = 0
         for found, segment in self._frames():
             paired = as_configured(found, plan.given, self.cfg.labels)
             reference = reference_of(paired)
@@ -150,8 +151,8 @@ class ReplayInput:
             lost = self._losses.reason(before_ns, self._until_ns(paired, before_ns, log_time_ns))
             since_ns = self._since_ns(found)
             times = reference.stamp_ns, reference.log_time_ns, log_time_ns
-            complete = None if since_ns is None else LastComplete(number, *times, segment, since_ns)
-            yield replace(sample, log_time_ns=log_time_ns, lost=lost, complete=complete)
+            settled = None if since_ns is None else SettledFrame(number, *times, segment, since_ns)
+            yield replace(sample, log_time_ns=log_time_ns, lost=lost, settled=settled)
             before_ns, number, new_frames = log_time_ns, number + 1, new_frames + (not in_lead)
             if new_frames == plan.most_frames:
                 break

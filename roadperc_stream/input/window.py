@@ -8,7 +8,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.input.stream import RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, Message, Piece
-from roadperc_stream.model import LastComplete
+from roadperc_stream.model import SettledFrame
 from roadperc_stream.system.time import seconds_to_ns
 
 
@@ -24,7 +24,7 @@ class LeadIn:
     start_ns: int
     end_ns: int
     continues: bool
-    last: LastComplete | None = None
+    last: SettledFrame | None = None
 
     @property
     def known_ns(self) -> int:

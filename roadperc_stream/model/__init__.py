@@ -47,7 +47,7 @@ from roadperc_stream.model.sample import (
     UNWRITTEN,
     EarlierTruth,
     FrameAnchor,
-    LastComplete,
     Sample,
+    SettledFrame,
     Truth,
 )

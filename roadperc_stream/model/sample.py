@@ -67,8 +67,8 @@ class EarlierTruth:
 
 
 @dataclass(frozen=True)
-class LastComplete:
-    """The last frame of a replay that no later message can change; there a later log continues it.
+class SettledFrame:
+    """A frame of a replay that no later message can change; a later log continues the replay after the last one.
 
     ``arrived_ns`` is the log time of its message, ``log_time_ns`` that of its results. A continued replay reads the
     log again from ``since_ns``: the earliest log time of the messages of this frame, and of those that later frames
@@ -98,7 +98,7 @@ class Sample:
     """Number of restarts of the stamps before it."""
     lost: Reason | None = None
     """Reason if damage lost messages since the previous frame, else None."""
-    complete: LastComplete | None = None
+    settled: SettledFrame | None = None
     """Set if no later message can change this frame, and a later log may continue the replay after it."""
 
     @property

@@ -214,7 +214,7 @@ class Outputs:
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
         """Copy the rest of the input, and record how the output was made.
 
-        ``facts`` are those of a continued result, ``states`` those of the replay at its start and its end.
+        ``facts`` say how the replay began; ``states`` is the state at its end, if a later log can continue it.
         """
         self._copy.rest()
         for attachment in self._input.summary.attachments:

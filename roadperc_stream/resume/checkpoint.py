@@ -31,7 +31,7 @@ class Checkpoint:
     """The progress of a replay.
 
     ``run`` has all inputs and options that the results depend on, by name and value. ``samples`` is the number of
-    complete samples, ``length`` the length of the file with their outputs.
+    samples done, including those of a warm-up, ``length`` the length of the file with their outputs.
     """
 
     run: Mapping[str, str]
@@ -147,6 +147,10 @@ class CheckpointFolder:
                 state.write(encode(checkpoint))
             new.replace(self.path / _STATE)
 
+    def proves_ours(self, *, is_complete: bool) -> bool:
+        """Whether an interrupted replay wrote the files of the output; without a checkpoint they are not complete."""
+        return self.path.exists() and (self.holds_one or not is_complete)
+
     @property
     def holds_one(self) -> bool:
         """Whether there is a checkpoint."""
@@ -206,8 +210,8 @@ class Checkpoints:
         if differing and not force:
             raise StateError(f"{folder.path}: of another replay ({differing} differ)", "--force", "to start over")
         self.is_resumed = found is not None and not differing
-        self.begun = found if found is not None and not differing else start
-        """The replay after the samples that are already complete."""
+        self.progress = found if found is not None and self.is_resumed else start
+        """The replay after the samples that an interrupted replay computed."""
         self._last_ns: int | None = None
         left_over = folder.holds_one and not self.is_resumed and every_s is None
         self.notes = (f"{folder.path}: left by an interrupted replay; removed",) if left_over else ()
@@ -217,9 +221,9 @@ class Checkpoints:
     def begin(self) -> None:
         """Prepare to read the complete frames, and to write checkpoints if enabled."""
         if self.is_resumed:
-            self._outputs = self._folder.outputs(self.begun)
+            self._outputs = self._folder.outputs(self.progress)
         if self._every_ns is not None:
-            self._folder.begin(self.begun if self.is_resumed else None)
+            self._folder.begin(self.progress if self.is_resumed else None)
 
     def next_output(self, index: int) -> FrameOutput:
         """The output of the next complete frame.
@@ -246,8 +250,8 @@ class Checkpoints:
         """
         if self._every_ns is None:
             return
-        if self._last_ns is None or samples <= self.begun.samples:
+        if self._last_ns is None or samples <= self.progress.samples:
             self._last_ns = log_time_ns
         elif log_time_ns - self._last_ns >= self._every_ns:
-            self._folder.write(Checkpoint(self.begun.run, state, samples))
+            self._folder.write(Checkpoint(self.progress.run, state, samples))
             self._last_ns = log_time_ns

@@ -36,7 +36,7 @@ class OpenedLog:
     """
 
     input: ReplayInput
-    begin: ReplayState = field(default_factory=ReplayState)
+    initial: ReplayState = field(default_factory=ReplayState)
     continued_log_id: str = ""
     warm_up_s: float = 0.0
     notes: Notes = ()
@@ -47,13 +47,15 @@ class OpenedLog:
         """The state for a later log, before the first frame."""
         lead = self.input.plan.lead
         last = None if lead is None else lead.last
-        saved = SavedState(self.input.log_id, settings_of(self.input.cfg), self.begin, last)
+        saved = SavedState(self.input.log_id, settings_of(self.input.cfg), self.initial, last)
         return EndState(saved, StateError("no frame is complete") if self.warm_up_s else None)
 
     def facts(self) -> dict[str, str]:
         """How the replay begins, for the output to record."""
-        continues = {record.CONTINUES_KEY: self.continued_log_id} if self.continued_log_id else {}
-        return continues | ({record.WARM_UP_KEY: repr(self.warm_up_s)} if self.warm_up_s else {})
+        if self.continued_log_id:
+            state = hashlib.sha256(encode(self.initial)).hexdigest()
+            return {record.CONTINUES_KEY: self.continued_log_id, record.STATE_KEY: state}
+        return {record.WARM_UP_KEY: repr(self.warm_up_s)} if self.warm_up_s else {}
 
     def table_facts(self) -> dict[str, str]:
         """The log facts for the tables, and the number of a continued replay's first frame."""
@@ -114,10 +116,10 @@ def open_log(source: ReplaySource, cfg: ReplayConfig) -> OpenedLog:
     """
     found = source.read(cfg.limits)
     recorded = replay_record(found.summary.metadata)
-    begun = {record.CONTINUES_KEY: "continues another result", record.WARM_UP_KEY: "began with a warm-up"}
+    origins = {record.CONTINUES_KEY: "continues another result", record.WARM_UP_KEY: "began with a warm-up"}
     notes = (
         f"{found.summary.path}: this result {words}; this replay begins without its state, so the results differ"
-        for key, words in begun.items()
+        for key, words in origins.items()
         if key in recorded and source.time_range.start_s is None
     )
     return OpenedLog(input_of(found, source, cfg), notes=tuple(notes), warnings=found.warnings)
@@ -130,15 +132,15 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
         StateError: the log does not follow the result; else as ``open_log``.
     """
     earlier = log.summarise(before, cfg.limits)
-    begin = state_at_end(earlier, cfg)
+    saved = state_at_end(earlier, cfg)
     cut_ns = whole_number(replay_record(earlier.metadata).get(record.END_KEY, ""))
     ended_ns = (earlier.last_ns or 0) if cut_ns is None else cut_ns
     lead = LeadIn(
         earlier,
-        0 if begin.last is None else begin.last.since_ns,
+        0 if saved.last is None else saved.last.since_ns,
         ended_ns + 1 if cut_ns is None else ended_ns,
         continues=True,
-        last=begin.last,
+        last=saved.last,
     )
     found = source.read(cfg.limits)
     log_in = input_of(found, source, cfg, lead)
@@ -149,7 +151,7 @@ def _open_continued(source: ReplaySource, cfg: ReplayConfig, before: Path) -> Op
             f"{summary.path}: begins {lead_s:.3f} s before the end of {before}: expected later messages; "
             f"pass --start {start_s:.9f} to skip the overlap, or pass all files of the log together"
         )
-    return OpenedLog(log_in, begin.replay, begin.log_id, warnings=found.warnings)
+    return OpenedLog(log_in, saved.replay, saved.log_id, warnings=found.warnings)
 
 
 def _open_warmed(source: ReplaySource, cfg: ReplayConfig, warm_up_s: float) -> OpenedLog:
@@ -179,12 +181,14 @@ def run_of(opened: OpenedLog, target: ReplayTarget) -> dict[str, str]:
         "results only": str(target.results_only),
         "strict": str(plan.problems.strict_in is not None),
         "beginning": json.dumps(opened.facts()),
-        "state at the beginning": hashlib.sha256(encode(opened.begin)).hexdigest(),
     }
 
 
 def finished(target: ReplayTarget, opened: OpenedLog) -> ReplaySummary | None:
-    """The summary of an earlier replay whose complete output is that of this replay; None without one."""
+    """The summary of an earlier replay whose complete output is that of this replay; None without one.
+
+    For a strict replay, the output of one that was not strict is complete too.
+    """
     if not target.is_complete:
         return None
     summary = log.summarise(target.path)
@@ -196,7 +200,11 @@ def finished(target: ReplayTarget, opened: OpenedLog) -> ReplaySummary | None:
         and recorded.get(record.VERSION_KEY) == __version__
         and chosen == opened.input.chosen_topics
         and attached.get(record.CONFIG_ATTACHMENT) == config_text(opened.input.cfg, opened.input.networks).encode()
-        and {key: recorded[key] for key in (record.CONTINUES_KEY, record.WARM_UP_KEY) if key in recorded}
+        and {
+            key: recorded[key]
+            for key in (record.CONTINUES_KEY, record.STATE_KEY, record.WARM_UP_KEY)
+            if key in recorded
+        }
         == opened.facts()
         and {(channel.topic, is_result(channel)) for channel in summary.channels} == _topics(target, opened)
     )

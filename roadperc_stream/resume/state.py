@@ -10,7 +10,7 @@ from roadperc_stream.chain.step import State
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import StateError
 from roadperc_stream.log import Attachment, LogSummary
-from roadperc_stream.model import EarlierTruth, LastComplete
+from roadperc_stream.model import EarlierTruth, SettledFrame
 from roadperc_stream.output.writing import Shown
 from roadperc_stream.schemas.record import STATE_ATTACHMENT
 
@@ -40,7 +40,7 @@ class SavedState:
     log_id: str
     settings: Mapping[str, str]
     replay: ReplayState = field(default_factory=ReplayState)
-    last: LastComplete | None = None
+    last: SettledFrame | None = None
 
     def differences(self, cfg: ReplayConfig) -> Notes:
         """Descriptions of the settings that differ from a configuration."""
@@ -60,7 +60,7 @@ class EndState:
         """Begin with the state of a replay without a complete frame; ``error`` if it cannot be continued."""
         self._saved, self._encoded, self._error = saved, b"", error
 
-    def reached(self, last: LastComplete | None, state: ReplayState) -> None:
+    def reached(self, last: SettledFrame | None, state: ReplayState) -> None:
         """Take the state after one more frame, which is ``last`` if it is complete."""
         if last is not None:
             self._saved, self._encoded, self._error = replace(self._saved, replay=state, last=last), b"", None

@@ -46,6 +46,8 @@ OWN_ATTACHMENTS: Final = (CONFIG_ATTACHMENT, STATE_ATTACHMENT)
 """Attachments that a replay writes; those of an input are not copied."""
 CONTINUES_KEY: Final = "continues"
 """In the replay record and the tables' footers: the log_id of the continued result."""
+STATE_KEY: Final = "continued_state"
+"""With CONTINUES_KEY: digest of the state that the continued result ended with."""
 WARM_UP_KEY: Final = "warm_up_s"
 """In the replay record: seconds of log before the start whose frames built the state."""
 LOG_ID_KEY: Final = "log_id"

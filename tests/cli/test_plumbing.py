@@ -62,3 +62,14 @@ def test_a_command_that_only_prints_ends_early_and_well():
 
     assert run_unread(command) == 0
     assert done == []
+
+
+def test_a_signal_in_a_class_statement_is_one_line(capsys):
+    """A library may import a module while it works; Python 3.11 puts another error around the exception."""
+
+    class Signalling:
+        def __set_name__(self, owner, name):
+            raise KeyboardInterrupt
+
+    assert run(lambda: type("Late", (), {"name": Signalling()})) == 1
+    assert capsys.readouterr().err == "error: interrupted\n"

@@ -80,7 +80,7 @@ def frames(path, before=None):
         lead = LeadIn(earlier, last.since_ns if last else 0, earlier.last_ns + 1, continues=True, last=last)
     log_in = input_of(ReadableLog(summary), ReplaySource(path), CFG, lead)
     samples = list(log_in.samples())
-    last = next((s.complete for s in reversed(samples) if s.complete), lead.last if lead else None)
+    last = next((s.settled for s in reversed(samples) if s.settled), lead.last if lead else None)
     with log.LogWriter(path.with_suffix(".copy")) as writer:
         for message in log_in.messages.copied():
             writer.write(message)

@@ -94,7 +94,7 @@ def test_a_checkpoint_is_of_the_state_that_it_began_with(source, tmp_path):
         later = ReplaySource(source, time_range=TimeRange(0.85))
         opened = open_replay(later, CFG, ReplayOptions(continued=first))
         runs.append(run_of(opened, ReplayTarget(tmp_path / "out.mcap")))
-    assert [name for name in runs[0] if runs[0][name] != runs[1][name]] == ["state at the beginning"]
+    assert [name for name in runs[0] if runs[0][name] != runs[1][name]] == ["beginning"]
 
 
 def test_late_messages_around_the_start(source, tmp_path):
