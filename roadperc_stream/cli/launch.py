@@ -8,7 +8,7 @@ from functools import partial
 from importlib import import_module
 from io import TextIOWrapper
 
-from roadperc_stream.system.process import EXIT_ERROR, EXIT_UNDECIDED, discard_output, ending_signals
+from roadperc_stream.system.process import EXIT_ERROR, EXIT_UNDECIDED, discard_output, ending_signals, interrupt
 
 COMMANDS = {
     "batch": "replay many logs, one per core or on a cluster",
@@ -42,7 +42,7 @@ def _launch(command: str) -> int:
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # Arrow reuses freed memory: 7 MB less
     gc.disable()  # imports make no garbage; saves a tenth of their time. ``plumbing.run`` enables it
     for number in ending_signals():
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, interrupt)
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell, as with ``>&-``
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))

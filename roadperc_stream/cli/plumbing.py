@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from roadperc_stream.cli.launch import COMPLETING
 from roadperc_stream.errors import RegressionError, RoadpercError
+from roadperc_stream.system import process
 from roadperc_stream.system.process import EXIT_DONE, EXIT_ERROR, discard_output, optional_output
 from roadperc_stream.system.text import print_line, shown
 
@@ -83,10 +84,10 @@ def run(command: Callable[[], None], error_code: int = EXIT_ERROR) -> int:
     except (RoadpercError, KeyboardInterrupt, MemoryError, OSError, UnicodeEncodeError) as error:
         _say(f"error: {_words_of(error)}")
         return error_code
-    except Exception as error:
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+    except Exception:
+        if not process.is_interrupted:
             raise
-        _say("error: interrupted")  # a late import puts another error around the interruption
+        _say("error: interrupted")
         return error_code
     return EXIT_DONE
 

@@ -22,6 +22,17 @@ def ending_signals() -> list[int]:
     return [number for number in ending if signal.getsignal(number) != signal.SIG_IGN]
 
 
+is_interrupted = False
+"""Whether a signal has ended the command."""
+
+
+def interrupt(_number: int, _frame: object) -> None:
+    """Handle a signal that ends the command. A library may put another error around the exception."""
+    global is_interrupted  # noqa: PLW0603 - signals belong to the process
+    is_interrupted = True
+    raise KeyboardInterrupt
+
+
 @contextmanager
 def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
     """Continue if the output of the block has no reader, or stderr has no space; ``stream`` is stdout by default."""
