@@ -36,6 +36,10 @@ _STREAMS: Final[dict[str, Callable[[ChunkHead], Any]]] = {
 """Streams over a chunk's decompressed data, by compression. They read all frames."""
 
 
+class SizeError(ValueError):
+    """A chunk that declares too many bytes, although its CRC is that of its data."""
+
+
 def streamed(head: ChunkHead) -> Iterator[Record]:
     """Yield the records of a chunk, one in memory at a time.
 
@@ -47,11 +51,12 @@ def streamed(head: ChunkHead) -> Iterator[Record]:
 
     def taken(length: int) -> bytes:
         nonlocal at, crc
-        if length > head.size_bytes - at:
-            raise ValueError(_too_long(head))
-        data: bytes = stream.read(length)
+        left = head.size_bytes - at
+        data: bytes = stream.read(min(length, left))
+        if not data and head.crc and crc == head.crc:
+            raise SizeError(f"holds {at} bytes, declares {head.size_bytes}")
         if len(data) < length:
-            raise ValueError(TOO_SHORT)
+            raise ValueError(_too_long(head) if len(data) == left else TOO_SHORT)
         at, crc = at + length, crc32(data, crc)
         return data
 
@@ -65,7 +70,10 @@ def streamed(head: ChunkHead) -> Iterator[Record]:
 
 
 def outline_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
-    """Return a chunk's records up to the first fault, of messages only the fields, and the fault; empty without one."""
+    """Return a chunk's records up to the first fault, of messages only the fields, and the fault; empty without one.
+
+    In a complete chunk whose CRC does not prove its data, nothing shows which records are right: there are none.
+    """
     found: list[Record] = []
     try:
         for record in streamed(head):
@@ -76,8 +84,11 @@ def outline_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
                 found.append(record._replace(body=record.body[: MESSAGE.size]) if is_message else record)
             elif record.opcode in NAMES:
                 return found, f"{record.name} record at its byte {record.start}, expected schema, channel or message"
-    except UNREADABLE as error:
+    except SizeError as error:
         return found, fault_of(error)
+    except UNREADABLE as error:
+        is_unproven = head.crc and head.stored_bytes == len(head.stored)
+        return [] if is_unproven else found, fault_of(error)
     return found, ""
 
 

@@ -169,8 +169,8 @@ class Losses:
     """In file order."""
     last_good_ns: int | None = None
     """Log time of the last message before the first damage."""
-    _behind_ns: int = -1
-    """Largest step back of log time from an earlier message to a later one; -1 if log times strictly ascend."""
+    _behind_ns: int = 0
+    """Largest step back of log time from an earlier message to a later one."""
     _open_from: int = _MOST_LISTED
     """Number of the first damage whose end is not known."""
 

@@ -85,6 +85,11 @@ class _Search:
                 alone = start, end
         return None if alone is None else alone[0]
 
+    def chunk_bytes(self, start: int) -> int:
+        """Return the length of the chunk at a byte by its own fields; 0 if no record follows there."""
+        stated = _chunk_bytes(self._data[start + RECORD.size : start + RECORD.size + _FIELDS_BYTES])
+        return stated if stated and self._leads_on(start + stated) else 0
+
     def _end(self, start: int) -> tuple[int, bool]:
         """Return the byte behind a likely record, 0 if it is none, and whether its fields alone make that certain."""
         opcode, length = RECORD.unpack_from(self._data, start)
@@ -131,6 +136,7 @@ class _Chunk:
     """A chunk whose message indexes come next: the messages that they list, and those that it has if it was opened."""
 
     entry: records.ChunkIndex
+    has_crc: bool
     held: list[_Entry] | None = None
     listed: list[_Entry] = field(default_factory=list)
 
@@ -273,6 +279,10 @@ class Salvage:
                     yield record, ""
                     return
                 inside = self._start_inside(stream, record, head)
+                if inside is not None and (own := self._of_own_length(stream, record)):
+                    taken = RECORD.size + length
+                    self.losses.note(at, f"chunk: its record states {taken} bytes, its fields {own.end - at}")
+                    record, head, inside, crc = own, stream.read(RECORD.size), None, None
                 if inside is None:
                     crc = self._checked(record, crc)
                     yield record, ""
@@ -315,12 +325,25 @@ class Salvage:
         inside = self._next(stream, record.start + 1)
         return inside if inside is not None and (inside < record.end or is_end) else None
 
+    def _of_own_length(self, stream: IO[bytes], record: Record) -> Record | None:
+        """Return a chunk with the length that its own fields state; None if it is not intact, or no record follows."""
+        length = self._searching(stream).chunk_bytes(record.start)
+        if record.opcode != Opcode.CHUNK or not length or length > self.limits.record_bytes:
+            return None
+        stream.seek(record.start + RECORD.size)
+        own = Record(record.start, Opcode.CHUNK, stream.read(length - RECORD.size))
+        _, fault = outline_of(layout.chunk_head(own.body), self.limits.chunk_messages)
+        return None if fault else own
+
     def _next(self, stream: IO[bytes], at: int) -> int | None:
         """Return the next place where a record starts; None behind the data section."""
         if not self._in_data:
             return None
+        return self._searching(stream).next_record(at, chunked=bool(self.chunks or self._indexed))
+
+    def _searching(self, stream: IO[bytes]) -> _Search:
         self._search = self._search or _Search(stream, self._is_message)
-        return self._search.next_record(at, chunked=bool(self.chunks or self._indexed))
+        return self._search
 
     def _lose(self, at: int, fault: str) -> None:
         """Note a place without a record; behind the data section no message is lost."""
@@ -377,7 +400,7 @@ class Salvage:
             if isinstance(error, LimitError) and record.opcode != Opcode.CHUNK:
                 raise
             # In a log without chunks it may be a message with a damaged opcode.
-            is_loss = self._in_data and not (record.opcode in _BESIDE_MESSAGES and self.chunks)
+            is_loss = self._in_data and not (record.opcode in _BESIDE_MESSAGES and (self.chunks or self._indexed))
             span = self._span_at(record.start, self.losses.unread) if is_loss else None
             if self._chunk is not None:
                 span = self._chunk.span
@@ -398,7 +421,10 @@ class Salvage:
         require_chunk(head, self.limits)
         self.chunks[head.compression] += 1
         self._without_crc += not head.crc
-        chunk, entry = _Chunk(layout.entry_of(head, record.start, len(record.body))), self._indexed.get(record.start)
+        chunk, entry = (
+            _Chunk(layout.entry_of(head, record.start, len(record.body)), bool(head.crc)),
+            self._indexed.get(record.start),
+        )
         if self.inside or entry is None or not entry.message_index_length:
             yield from self._opened(chunk, head, cut, with_content=with_content)
         else:
@@ -408,8 +434,6 @@ class Salvage:
         """Yield the messages in a chunk; note what is wrong with it."""
         start, before, held = chunk.entry.chunk_start_offset, self.losses.unread, list[_Entry]()
         items, fault = outline_of(head, self.limits.chunk_messages)
-        if fault and head.crc and not (cut and head.stored_bytes > len(head.stored)):
-            items = []
         is_loss, is_dropped = bool(cut or fault), False
         for item in items:
             try:
@@ -461,7 +485,8 @@ class Salvage:
             for channel_id, time_ns, _ in listed:
                 self.losses.count(channel_id, time_ns)
         elif listed and sorted(listed) != sorted(held):
-            words, is_loss = "the message indexes behind the chunk here list other messages", not {*listed} <= {*held}
+            words = "the message indexes behind the chunk here list other messages"
+            is_loss = not chunk.has_crc and not {*listed} <= {*held}
             self.losses.note(start, words, self._span_at(start, chunk.span), is_loss=is_loss)
 
     def _counted(self, body: bytes | memoryview) -> layout.MessageHead:
@@ -512,7 +537,7 @@ class Salvage:
         elif stated and stated != +self.counts:
             words = "the statistics count other messages on some channels"
         if words:
-            self.losses.note(byte, words, ANY_TIME, is_loss=True)
+            self.losses.note(byte, words, None if self._is_sealed else ANY_TIME, is_loss=not self._is_sealed)
 
 
 def _contents(head: layout.ChunkHead, held: list[_Entry]) -> Iterator[Found]:

@@ -413,8 +413,8 @@ def test_wrong_live_options_are_a_usage_error(capsys):
         assert options.removeprefix("--live ").split()[0] in capsys.readouterr().err, options
 
 
-SERVE = "import sys; from roadperc_stream.cli.view import main; sys.exit(main(sys.argv[1:]))"
-REPLAY = "import sys; from roadperc_stream.cli.replay import main; sys.exit(main(sys.argv[1:]))"
+SERVE = "import sys; from roadperc_stream.cli.launch import view; sys.exit(view())"
+REPLAY = "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"
 
 
 @pytest.mark.parametrize("command", ["serve", "replay"])
