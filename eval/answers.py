@@ -1,6 +1,5 @@
 """Short answers of the report: lines and tables for a terminal and Markdown, values for JSON, cases for JUnit."""
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -31,9 +30,9 @@ from .comparison.summary import shown_unit, where
 from .comparison.verdicts import CauseGroup, Mark
 from .findings import Found, finding_counts, report_lines
 from .frame_commands import view_command
-from .machine import Case, write_files
 from .options import Rules
 from .quantities import TRUTH
+from .result_files import Case, ResultFiles, write_files
 from .runs import Run
 from .summary import Summary
 
@@ -66,19 +65,14 @@ def with_findings(answer: Answer, found: Found) -> Answer:
     return replace(answer, head=(*report_lines(found), *answer.head), values=values)
 
 
-def wants_files(arguments: argparse.Namespace) -> bool:
-    """Whether the options name a file for another program."""
-    return any((arguments.json, arguments.markdown, arguments.junit))
-
-
-def write_answer(answer: Answer, arguments: argparse.Namespace) -> None:
-    """Write the files for other programs that the options name.
+def write_answer(answer: Answer, files: ResultFiles) -> None:
+    """Write the files for other programs.
 
     Raises:
         TargetError: a file cannot be written.
     """
     markdown = answer.title, (*answer.head, *answer.tail), answer.tables
-    write_files(arguments, answer.values, markdown, "report", answer.cases)
+    write_files(files, answer.values, markdown, "report", answer.cases)
 
 
 def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Answer:

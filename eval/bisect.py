@@ -1,6 +1,5 @@
 """Finds the shortest excerpt of a log, and the fewest changed settings, for which a criterion still fails."""
 
-import argparse
 import math
 import shlex
 from collections.abc import Iterator, Sequence
@@ -34,7 +33,32 @@ _GROWTH: Final = 4
 """Factor between the lengths of the first excerpts; the part after the worst frame is shorter by this factor."""
 
 
-def bisect(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class BisectOptions:
+    """What to search: the log, the criteria, the settings that fail, and those that work.
+
+    ``criterion`` is the title of one; None for the first that fails. ``config`` is a file of settings and ``changed``
+    more of them as KEY=VALUE. ``base`` is the file of those that work, None for the defaults. ``topics`` are
+    ROLE=/TOPIC.
+    """
+
+    log: Path
+    criteria: Path
+    out: Path
+    criterion: str | None = None
+    config: Path | None = None
+    changed: Sequence[str] = ()
+    base: Path | None = None
+    topics: Sequence[str] = ()
+    force: bool = False
+
+    @property
+    def source(self) -> ReplaySource:
+        """The whole log."""
+        return ReplaySource(self.log, parse_topic_options(self.topics))
+
+
+def bisect(options: BisectOptions) -> None:
     """Search, write the excerpt, and print the commands that show the failure.
 
     Raises:
@@ -42,22 +66,21 @@ def bisect(arguments: argparse.Namespace) -> None:
         RoadpercError: the log cannot be replayed, an option is invalid, or the excerpt cannot be written.
         KeyboardInterrupt: a signal stopped the search.
     """
-    source = ReplaySource(arguments.log, parse_topic_options(arguments.topic))
-    out: Path = arguments.out or Path(arguments.log.with_suffix(".bisect.mcap").name)
-    if not arguments.log.is_file():
-        raise LogError(not_a_log(arguments.log) if arguments.log.is_dir() else f"{arguments.log}: no such file")
-    ReplayTarget(out, force=arguments.force).require_writable(source.files, None, resume=False)
-    base, cfg = load_config(arguments.base), load_config(arguments.config, arguments.set)
-    with scratch_folder(out) as folder, job_progress() as show:
-        replays = ExcerptReplays(source, arguments.criteria, out, folder, show)
-        replays.criteria = _chosen(replays.criteria, arguments)
+    source = options.source
+    if not options.log.is_file():
+        raise LogError(not_a_log(options.log) if options.log.is_dir() else f"{options.log}: no such file")
+    ReplayTarget(options.out, force=options.force).require_writable(source.files, None, resume=False)
+    base, cfg = load_config(options.base), load_config(options.config, options.changed)
+    with scratch_folder(options.out) as folder, job_progress() as show:
+        replays = ExcerptReplays(source, options.criteria, options.out, folder, show)
+        replays.criteria = _chosen(replays.criteria, options)
         try:
             found = _found(replays, base, cfg)
         except KeyboardInterrupt:
             if replays.can_continue:
                 raise KeyboardInterrupt("interrupted; run the same command again to continue") from None
             raise
-    for line in _lines(found, arguments, out):
+    for line in _lines(found, options):
         print_line(line)
 
 
@@ -74,16 +97,16 @@ class Found:
     replays: int
 
 
-def _chosen(criteria: tuple[Criterion, ...], arguments: argparse.Namespace) -> tuple[Criterion, ...]:
-    """The criterion of ``--criterion``, else all.
+def _chosen(criteria: tuple[Criterion, ...], options: BisectOptions) -> tuple[Criterion, ...]:
+    """The chosen criterion, else all.
 
     Raises:
         ConfigError: the file has no such criterion.
     """
-    name: str | None = arguments.criterion
+    name = options.criterion
     titles = [criterion.title for criterion in criteria]
     if name is not None and name not in titles:
-        raise ConfigError(f"{arguments.criteria}: no criterion {name!r}; {hint(name, titles)}")
+        raise ConfigError(f"{options.criteria}: no criterion {name!r}; {hint(name, titles)}")
     return tuple(criterion for criterion in criteria if name in (None, criterion.title))
 
 
@@ -105,24 +128,24 @@ def _found(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig) -> Fo
     return Found(whole, window, result, result.worst, values, len(changed), replays.count)
 
 
-def _lines(found: Found, arguments: argparse.Namespace, out: Path) -> Iterator[str]:
+def _lines(found: Found, options: BisectOptions) -> Iterator[str]:
     """What was found, and the commands that show, replay and judge the excerpt."""
-    start_s, end_s = (ns_to_seconds(time_ns - first_ns(ReplaySource(arguments.log))) for time_ns in found.window)
-    frames = number(open_run(ReplayTarget(out).metrics, out.name).frames, "frame")
+    start_s, end_s = (ns_to_seconds(time_ns - first_ns(options.source)) for time_ns in found.window)
+    frames = number(open_run(ReplayTarget(options.out).metrics, options.out.name).frames, "frame")
     yield f"whole log  {found.whole.failed}: {found.whole.text}"
-    yield f"excerpt    {out}: {start_s:.3f} to {end_s:.3f} s of the log, {frames}: {found.result.text}"
+    yield f"excerpt    {options.out}: {start_s:.3f} to {end_s:.3f} s of the log, {frames}: {found.result.text}"
     if found.changed:
         needs = f"{len(found.needed)} of {number(found.changed, 'change')} needed"
         yield f"settings   {': '.join(filter(None, (needs, ' '.join(found.needed))))}"
     yield f"replays    {found.replays}"
     yield f"show       {found.worst.command}"
-    options = [
-        *(("--config", str(arguments.base)) if arguments.base else ()),
+    given = [
+        *(("--config", str(options.base)) if options.base else ()),
         *(f"--set={item}" for item in found.needed),
+        *(f"--topic={topic}" for topic in options.topics),
     ]
-    options += [f"--topic={topic}" for topic in arguments.topic]
-    yield f"replay     {shlex.join(['roadperc-replay', str(out), 'again.mcap', *options])}"
-    yield f"judge      {shlex.join(['roadperc-check', 'again.mcap', '--criteria', str(arguments.criteria)])}"
+    yield f"replay     {shlex.join(['roadperc-replay', str(options.out), 'again.mcap', *given])}"
+    yield f"judge      {shlex.join(['roadperc-check', 'again.mcap', '--criteria', str(options.criteria)])}"
 
 
 def shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: ReplayVerdict, settings: int) -> Window:

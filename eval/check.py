@@ -1,6 +1,5 @@
 """Checks runs against absolute limits, and writes the results for people and for other programs."""
 
-import argparse
 import math
 import sys
 from collections import Counter
@@ -22,9 +21,9 @@ from .criteria import DEFAULT_CRITERIA, read_criteria
 from .dataset.pairs import all_runs, in_a_folder
 from .dataset.place import DONE, dataset_at, read_runs
 from .judging import Result, judge
-from .machine import Case, Outcome, write_files
 from .quantities import listed
 from .reference_criteria import write_criteria
+from .result_files import Case, Outcome, ResultFiles, write_files
 from .runs import Run
 
 _LISTED: Final = 5
@@ -61,22 +60,28 @@ class Check:
         return next(outcome for outcome in _BY_SEVERITY if self.counts[outcome])
 
 
-def check(arguments: argparse.Namespace) -> None:
-    """Judge the criteria over runs and print the results; with ``--init`` write criteria instead.
+def init_criteria(names: Sequence[str], path: Path, *, force: bool) -> None:
+    """Write criteria with the limits that runs reach.
+
+    Raises:
+        RoadpercError: a run cannot be read, or the file cannot be written.
+    """
+    with ExitStack() as stack:
+        count = write_criteria(path, _found(names, stack)[0], force=force)
+    print_lines(console_for(sys.stdout), f"{path}: {number(count, 'metric')} with limits")
+
+
+def check(names: Sequence[str], path: Path, files: ResultFiles) -> None:
+    """Judge the criteria of the file ``path`` over runs, and print and write the results.
 
     Raises:
         RegressionError: a criterion failed.
         RoadpercError: a file cannot be read or written, a log of a batch has no result, or all criteria are skipped.
     """
     with ExitStack() as stack:
-        runs, failed_logs = _found(arguments.runs, stack)
-        if arguments.init is not None:
-            count = write_criteria(arguments.init, runs, force=arguments.force)
-            print_lines(console_for(sys.stdout), f"{arguments.init}: {number(count, 'metric')} with limits")
-            return
-        path = arguments.criteria or DEFAULT_CRITERIA
+        runs, failed_logs = _found(names, stack)
         found = Check(path, runs, tuple(judge(read_criteria(path), runs, path)), failed_logs)
-    _write(found, arguments)
+    _write(found, files)
     with optional_output():
         print_lines(console_for(sys.stdout), *_lines(found), unbroken=True)
     if found.verdict == "failed":
@@ -87,14 +92,14 @@ def check(arguments: argparse.Namespace) -> None:
         raise TableError(f"{path}: all criteria are skipped, so nothing is checked: {found.results[0].reason}")
 
 
-def _found(arguments: Sequence[str], stack: ExitStack) -> tuple[tuple[Run, ...], tuple[tuple[str, str], ...]]:
+def _found(names: Sequence[str], stack: ExitStack) -> tuple[tuple[Run, ...], tuple[tuple[str, str], ...]]:
     """The runs with frames, and the path and the reason of each failed log of a batch.
 
     Raises:
         RoadpercError: an argument names no run, or no run has a frame.
     """
-    datasets = [stack.enter_context(in_a_folder(found)) for text in arguments if (found := dataset_at(text))]
-    others = [text for text in arguments if dataset_at(text) is None]
+    datasets = [stack.enter_context(in_a_folder(found)) for text in names if (found := dataset_at(text))]
+    others = [text for text in names if dataset_at(text) is None]
     runs = [*(run for dataset in datasets for run in all_runs(dataset)), *(find_joined(others).runs if others else ())]
     filled = tuple(run for run in runs if run.frames)
     if not filled:
@@ -135,11 +140,11 @@ def _failure(title: str, results: Sequence[Result]) -> Iterator[str]:
         yield f"         worst frame: {first.worst.command}"
 
 
-def _write(found: Check, arguments: argparse.Namespace) -> None:
+def _write(found: Check, files: ResultFiles) -> None:
     cases = [Case(result.log, _case(result), result.outcome, _body(result)) for result in found.results]
     cases += [Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs]
     lines = f"Check: {found.verdict}", list(_lines(found))[1:], [_table(found)]
-    write_files(arguments, _as_json(found), lines, "check", cases)
+    write_files(files, _as_json(found), lines, "check", cases)
 
 
 def _case(result: Result) -> str:

@@ -1,6 +1,5 @@
 """Excerpts of logs around events, with the results: cut from the result log, or replayed as the table records it."""
 
-import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from heapq import merge
@@ -21,12 +20,12 @@ from roadperc_stream.system.time import TimeRange, ns_to_seconds
 from roadperc_stream.view.frame_times import frame_times
 
 from .dataset.worst import LogKey
-from .events import Event
+from .events import Clips, Event
 from .frame_replay import AFTER_S, BEFORE_S, Part, kept_log, recorded_config, replayed
 from .runs import Run
 
 
-def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], arguments: argparse.Namespace) -> None:
+def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], clips: Clips) -> None:
     """Write the ``clip`` of each event, with ``BEFORE_S`` before and ``AFTER_S`` after it, and print a summary.
 
     ``runs`` has the run of each ``log_id`` and ``config``.
@@ -38,19 +37,19 @@ def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], arguments: 
     for event in events:
         try:
             run = runs[event.log_id, event.config].table_of(event.first_frame)
-            for note in _write(event, run, arguments):
+            for note in _write(event, run, clips):
                 print_line(f"note: {event.clip}: {note}")
         except RoadpercError as error:
             failed += 1
             print_line(f"warning: no {event.clip}: {error}", sys.stderr)
-    print_line(f"wrote {number(len(events) - failed, 'clip')} to {arguments.clips}")
+    print_line(f"wrote {number(len(events) - failed, 'clip')} to {clips.folder}")
     if failed:
-        raise LogError(f"{arguments.clips}: {failed} of {number(len(events), 'clip')} could not be written")
+        raise LogError(f"{clips.folder}: {failed} of {number(len(events), 'clip')} could not be written")
 
 
-def _write(event: Event, run: Run, arguments: argparse.Namespace) -> tuple[str, ...]:
+def _write(event: Event, run: Run, clips: Clips) -> tuple[str, ...]:
     """Write a clip; returns notes on values that differ from the recorded ones."""
-    target = ReplayTarget(Path(event.clip or ""), force=arguments.force)
+    target = ReplayTarget(Path(event.clip or ""), force=clips.force)
     kept = kept_log(run)
     with scratch_folder(target.path) as folder:
         if kept is not None and not all(map(is_result, log.summarise(kept).channels)):
@@ -59,7 +58,7 @@ def _write(event: Event, run: Run, arguments: argparse.Namespace) -> tuple[str, 
             return ()
         part = Part(event.peak_frame, (event.first_ns, event.last_ns), target)
         with frame_progress("clip", enabled=True) as progress:
-            return replayed(run, part, arguments.topic, arguments.set, folder, progress).notes
+            return replayed(run, part, clips.topics, clips.changed, folder, progress).notes
 
 
 def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:

@@ -1,10 +1,10 @@
 """Compares a new run with a base run, field by field and metric by metric, and updates the tables of the base."""
 
-import argparse
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from roadperc_stream.errors import RegressionError, TableError
@@ -23,10 +23,28 @@ from .dataset.pairs import in_a_folder, runs_of_config, runs_of_configs
 from .dataset.place import Dataset, dataset_at
 from .options import Rules
 from .quantities import listed
+from .result_files import ResultFiles
 from .runs import Run
 
 Copy = tuple[Path, Path]
 """A table of the new run, and its place in the base."""
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """How to compare two sides, and what to print.
+
+    ``configs`` are the configurations of base and new in a dataset, None for the only one. The file ``criteria`` has
+    relevant effects and limits, which replace those of ``rules``.
+    """
+
+    configs: tuple[str | None, str | None] = (None, None)
+    rules: Rules = field(default_factory=Rules)
+    criteria: Path | None = None
+    full: bool = False
+    exact: bool = False
+    other_log: bool = False
+    update_reference: bool = False
 
 
 def _require_updatable(base: str) -> None:
@@ -82,60 +100,56 @@ def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
     yield from ((later.path, target.with_name(f"{later.name.replace('/', '-')}{METRICS_SUFFIX}")) for later in others)
 
 
-def compare(arguments: argparse.Namespace) -> None:
-    """Print the verdict on a new run, and write it to files for other programs.
+def compare(base: str, new: str | None, options: CompareOptions, files: ResultFiles) -> None:
+    """Print the verdict on a new run, and write it to files for other programs; without ``new`` base is a dataset.
 
     Raises:
         RegressionError: the new run is worse, or with ``--exact`` a field differs.
         RoadpercError: the runs cannot be read, or do not belong together.
     """
-    if arguments.update_reference:
-        _require_updatable(arguments.base)
-        base = Path(arguments.base)
-        if not base.exists() or (base.is_dir() and not any(base.rglob(f"*{METRICS_SUFFIX}"))):
-            _update(_first_copies(base, logged_runs(arguments.new)))
+    path = Path(base)
+    if options.update_reference:
+        _require_updatable(base)
+        if new and (not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))):
+            _update(_first_copies(path, logged_runs(new)))
             return
-    with ExitStack() as files:
-        pairing = pair_runs(*_sides(arguments, files), arguments.other_log)
-        paths = Path(arguments.base), Path(arguments.new or "")
-        found = _compared(pairing, paths if {path.suffix for path in paths} == {".mcap"} else None, arguments)
-    if arguments.update_reference:
-        _update(_update_copies(paths[0], pairing))
+    with ExitStack() as temporary:
+        pairing = pair_runs(*_sides(base, new, options.configs, temporary), options.other_log)
+        logs = (path, Path(new)) if new and path.suffix == Path(new).suffix == ".mcap" else None
+        found = compare_runs(pairing, logs, _rules(options))
+        write_results(found, files, exact=options.exact)
+        with optional_output():
+            print_comparison(console_for(sys.stdout), found, full=options.full, all_fields=options.exact)
+    if options.update_reference:
+        _update(_update_copies(path, pairing))
     else:
-        _require_no_regression(found, arguments.exact)
+        _require_no_regression(found, options.exact)
 
 
-def _sides(arguments: argparse.Namespace, files: ExitStack) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
+def _sides(
+    base: str, new: str | None, configs: tuple[str | None, str | None], temporary: ExitStack
+) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
     """The base runs and the new runs: of two configurations of a dataset, or of an argument each."""
-    if arguments.new is None:
-        dataset = files.enter_context(in_a_folder(Dataset(arguments.base)))
-        return runs_of_configs(dataset, (arguments.base_config, arguments.new_config))
-    base = _side(arguments.base, "--base-config", arguments.base_config, files)
-    return base, _side(arguments.new, "--new-config", arguments.new_config, files)
+    if new is None:
+        return runs_of_configs(temporary.enter_context(in_a_folder(Dataset(base))), configs)
+    of_base = _side(base, "--base-config", configs[0], temporary)
+    return of_base, _side(new, "--new-config", configs[1], temporary)
 
 
-def _side(argument: str, option: str, config: str | None, files: ExitStack) -> tuple[Run, ...]:
+def _side(argument: str, option: str, config: str | None, temporary: ExitStack) -> tuple[Run, ...]:
     dataset = dataset_at(argument)
     if dataset is None:
         return logged_runs(argument)
-    return runs_of_config(files.enter_context(in_a_folder(dataset)), option, config)
+    return runs_of_config(temporary.enter_context(in_a_folder(dataset)), option, config)
 
 
-def _compared(pairing: Pairing, logs: tuple[Path, Path] | None, arguments: argparse.Namespace) -> Comparison:
-    """Compare, print, and write the files for other programs; with two ``logs`` compare also their messages."""
-    found = compare_runs(pairing, logs, _rules(arguments))
-    write_results(found, arguments)
-    with optional_output():
-        print_comparison(console_for(sys.stdout), found, full=arguments.full, all_fields=arguments.exact)
-    return found
-
-
-def _rules(arguments: argparse.Namespace) -> Rules:
-    known = effects(arguments.criteria) if arguments.criteria is not None else {}
+def _rules(options: CompareOptions) -> Rules:
+    if options.criteria is None:
+        return options.rules
+    known = effects(options.criteria)
     relevant = {name: effect.relevant for name, effect in known.items() if effect.relevant is not None}
     limits = {name: effect.limit for name, effect in known.items() if effect.limit is not None}
-    amounts = tuple(arguments.tolerance), tuple(arguments.allow)
-    return Rules(tuple(arguments.ignore), *amounts, arguments.times, relevant, limits)
+    return replace(options.rules, relevant=relevant, limits=limits)
 
 
 def _update(copies: Sequence[Copy]) -> None:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import polars as pl
@@ -31,7 +32,7 @@ class Event:
     """Frames of a log that fulfil a condition, close in time.
 
     ``frames`` is their number. ``peak`` is None if no frame has a value; then ``peak_frame`` is the first frame.
-    ``command`` shows that frame. ``clip`` is the path of the excerpt to write, None without ``--clips``.
+    ``command`` shows that frame. ``clip`` is the path of the excerpt to write, None without excerpts.
     """
 
     log: str
@@ -51,6 +52,16 @@ class Event:
     def seconds(self) -> float:
         """From the first frame to the last."""
         return ns_to_seconds(self.last_ns - self.first_ns)
+
+
+@dataclass(frozen=True)
+class Clips:
+    """Where excerpts go, and how to replay a log that was not kept: ``topics`` ROLE=/TOPIC, ``changed`` KEY=VALUE."""
+
+    folder: Path
+    topics: Sequence[str] = ()
+    changed: Sequence[str] = ()
+    force: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Finds events in the logs of a dataset, or of runs: prints a table, and writes JSON and excerpts of the logs."""
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -21,15 +20,29 @@ from .dataset.pairs import in_a_folder
 from .dataset.place import DONE, NO_TABLES, Dataset, dataset_at, metrics_files, read_runs, scan_tables, without_file
 from .dataset.reading import metrics_tables
 from .dataset.worst import LogKey
-from .events import Condition, Event, Searched, condition_of, events_of, matches
+from .events import Clips, Condition, Event, Searched, condition_of, events_of, matches
 from .frame_commands import view_command, view_dataset_command
 from .frames import runs_of_keys
-from .machine import require_result, write_json
+from .result_files import require_result, write_json
 from .runs import Run
 from .scan import objects_of, rows_of
 
 _LISTED: Final = 40
 """Events in the table."""
+
+
+@dataclass(frozen=True)
+class Query:
+    """An SQL condition on frames, and how its frames form events.
+
+    ``peak`` is the column whose worst value is the peak of an event; empty for the condition's first column of numbers.
+    Frames closer than ``gap_s`` are one event; events shorter than ``least_s`` are left out.
+    """
+
+    condition: str
+    peak: str = ""
+    gap_s: float = 1.0
+    least_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -46,30 +59,30 @@ class _Place:
     runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
 
 
-def find(arguments: argparse.Namespace) -> None:
-    """Print the events of a condition, and write the files that the options name.
+def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> None:
+    """Print the events of a condition in a dataset or in runs; write them as JSON, and excerpts of the logs.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or the condition does not fit.
         RoadpercError: a file cannot be written, or a log cannot be read or replayed.
     """
-    dataset = dataset_at(arguments.dataset)
-    place = _of_dataset(dataset) if dataset else _of_runs(find_joined([arguments.dataset]).runs)
+    dataset = dataset_at(source)
+    place = _of_dataset(dataset) if dataset else _of_runs(find_joined([source]).runs)
     schema = place.tables.schema()
-    condition = condition_of(arguments.condition, arguments.peak or "", schema)
+    condition = condition_of(query.condition, query.peak, schema)
     found = matches(place.tables, condition, schema).join(place.absent, on=LOG, how="anti")
-    rows = events_of(found, arguments.gap, arguments.min_seconds, lowest=condition.lowest)
-    events = [_event(row, place, arguments.clips) for row in rows.iter_rows(named=True)]
-    if arguments.json:
+    rows = events_of(found, query.gap_s, query.least_s, lowest=condition.lowest)
+    events = [_event(row, place, clips.folder if clips else None) for row in rows.iter_rows(named=True)]
+    if json:
         of_events = [vars(event) | {"seconds": event.seconds} for event in events]
-        values = {"condition": arguments.condition, "peak": condition.peak, "events": of_events}
-        write_json(require_result(arguments.json), values)
-    print_lines(console_for(sys.stdout), *_lines(events, condition, arguments.condition), unbroken=True)
-    if events and arguments.clips:
+        values = {"condition": query.condition, "peak": condition.peak, "events": of_events}
+        write_json(require_result(json), values)
+    print_lines(console_for(sys.stdout), *_lines(events, condition, query.condition), unbroken=True)
+    if events and clips:
         from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
 
         with ExitStack() as files:
-            write_clips(events, place.runs(list(dict.fromkeys(map(_key, events))), files), arguments)
+            write_clips(events, place.runs(list(dict.fromkeys(map(_key, events))), files), clips)
 
 
 def _key(event: Event) -> LogKey:

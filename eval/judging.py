@@ -17,8 +17,8 @@ from .criteria import BY_NAME, Criterion
 from .expressions import on_empty_rows, parsed, similar
 from .findings import finding_lines, findings_of
 from .frame_commands import view_command
-from .machine import Outcome
 from .quantities import percent
+from .result_files import Outcome
 from .runs import Run, reading, written_columns
 from .scan import SEGMENT, before, rows_of, scan
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Final, Literal
 
 from roadperc_stream.errors import RoadpercError
@@ -16,6 +17,16 @@ LanePairing = Literal["stamp", "order"]
 """How frames of the true lanes are paired with frames of the run."""
 WORST_FRAMES: Final = 3
 EVERYTHING = "*"
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What a report shows: slices ``by`` columns or SQL expressions, all tables, the ``worst`` frames, and a page."""
+
+    by: Sequence[str] = ()
+    full: bool = False
+    worst: int = WORST_FRAMES
+    html: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Report over finished runs, on the terminal and as an HTML page."""
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -14,13 +13,15 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
-from .answers import Answer, of_pair, of_summaries, print_answer, wants_files, with_findings, write_answer
+from .answers import Answer, of_pair, of_summaries, print_answer, with_findings, write_answer
 from .brief import RUNS_SHOWN, rows_tables
 from .configurations import UNKNOWN, grouped, settings_table, short_digest
 from .continued import find_joined
 from .findings import findings_of, report_lines
 from .frame_commands import view_command
+from .options import ReportOptions
 from .quantities import SKEW, legend, listed, name_columns, percent, short_names
+from .result_files import ResultFiles
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
 from .slices import slices_of_runs
@@ -33,38 +34,38 @@ _HAS_TRUE_POSES: Final = "turn_error_deg"
 _MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
-def print_report(arguments: argparse.Namespace) -> None:
-    """Print the figures of finished runs, and write the files that the options name.
+def print_report(names: Sequence[str], options: ReportOptions, files: ResultFiles) -> None:
+    """Print the figures of finished runs, and write the page and the files for other programs.
 
     Raises:
         TableError: an argument names no run, no run has a frame, or a column does not exist.
         TargetError: a file cannot be written.
     """
-    found = find_joined(arguments.runs)
+    found = find_joined(names)
     filled = [item for item in found.runs if item.frames]
     if not filled:
         raise TableError(f"{found.runs[0].why_empty}; expected a table with frames")
-    if arguments.html is not None:
+    if options.html is not None:
         from .html.page import write_page  # noqa: PLC0415 - only the page needs plotly
 
-        write_page(arguments.html, filled)  # first, because the reader of the text may close the pipe
-    answer = None if arguments.full and not wants_files(arguments) else _answer(filled, arguments.by)
+        write_page(options.html, filled)  # first, because the reader of the text may close the pipe
+    answer = None if options.full and not files.paths else _answer(filled, options.by)
     findings = findings_of(filled)
     if answer is not None:
-        write_answer(with_findings(answer, findings), arguments)
+        write_answer(with_findings(answer, findings), files)
     console = console_for(sys.stdout)
     empty = (item.why_empty for item in found.runs if not item.frames)
     print_lines(console, *report_lines(findings), *found.notes, *empty, unbroken=True)
-    if answer is not None and not arguments.full:
+    if answer is not None and not options.full:
         print_answer(console, answer)
     elif len(filled) == 1:
-        summary = summarise_run(filled[0], arguments.worst)
+        summary = summarise_run(filled[0], options.worst)
         print_lines(console, identity(summary), extent(summary), inputs(summary), *_trajectory(filled[0], summary)[0])
         print_parts(console, *sections([summary]), worst_frames([summary]))
     else:
-        _print_several(console, filled, arguments.worst)
-    if arguments.html is not None:
-        print_lines(console, "", f"page   {arguments.html}", unbroken=True)
+        _print_several(console, filled, options.worst)
+    if options.html is not None:
+        print_lines(console, "", f"page   {options.html}", unbroken=True)
 
 
 def _answer(runs: Sequence[Run], by: Sequence[str]) -> Answer:

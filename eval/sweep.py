@@ -1,25 +1,24 @@
 """Replays logs under every combination of some settings, and prints the best setting for each metric."""
 
-import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream.chain.own_stage import own_stages
-from roadperc_stream.cli.arguments import time_range_of
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
-from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
+from roadperc_stream.system.time import WHOLE, TimeRange
 
-from .machine import Case, write_files
+from .options import Varied
 from .quantities import percent, rounded
+from .result_files import Case, ResultFiles, write_files
 from .sweeping import robustness
 from .sweeping.curves import curves
 from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
@@ -32,6 +31,27 @@ LEGEND: Final = (
     "time: only for comparing settings, which share the decoding; a replay takes longer",
 )
 CURVES: Final = "curves.svg"
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """What to replay: the settings ``varied``, or the severities of each corruption ``degraded``.
+
+    ``config`` is a file of settings and ``changed`` more of them as KEY=VALUE; ``topics`` are by role. ``baseline`` is
+    the folder of an earlier sweep with the same corruptions. ``jobs`` logs are replayed at a time, into ``out``.
+    """
+
+    out: Path
+    varied: Sequence[Varied] = ()
+    degraded: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    config: Path | None = None
+    changed: Sequence[str] = ()
+    topics: Mapping[str, str] = field(default_factory=dict)
+    time_range: TimeRange = WHOLE
+    seed: int = 0
+    baseline: Path | None = None
+    jobs: int = 1
+    force: bool = False
 
 
 def best_settings(found: Sequence[robustness.Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
@@ -98,73 +118,72 @@ def _changes(item: Combination, reference: Combination) -> str:
     return " ".join(f"{name}={shown(value)}" for name, value, before in pairs if value != before) or "reference"
 
 
-def sweep(arguments: argparse.Namespace) -> None:
+def sweep(logs: Sequence[Path], options: SweepOptions, files: ResultFiles) -> None:
     """Replay logs under every combination of settings, or with corruptions, and print the scores.
 
     Raises:
         RoadpercError: a log cannot be replayed, a setting is invalid, or the dataset cannot be written.
     """
-    cfg = own_stages(load_config(arguments.config, tuple(arguments.set)))[0]
-    severities = dict(arguments.degrade)
-    varied = combinations(arguments.config, arguments.set, arguments.vary)
-    made = robustness.degradations(cfg, severities) if severities else varied
-    for path in arguments.logs:  # fail before any log is replayed
+    cfg = own_stages(load_config(options.config, options.changed))[0]
+    varied = combinations(options.config, options.changed, options.varied)
+    made = robustness.degradations(cfg, options.degraded) if options.degraded else varied
+    for path in logs:  # fail before any log is replayed
         if not path.is_file():
             raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
-    facts: dict[str, Any] = {"logs": [str(path.absolute()) for path in arguments.logs]}
-    if severities:
-        facts |= {"degrade": {name: list(several) for name, several in severities.items()}, "seed": arguments.seed}
-    if arguments.baseline is not None:
-        robustness.require_baseline(arguments.baseline, facts)
-    with dataset(arguments.out, arguments.force) as folder:
-        jobs = list(_jobs(arguments, made, folder))
+    facts: dict[str, Any] = {"logs": [str(path.absolute()) for path in logs]}
+    if options.degraded:
+        facts |= {"degrade": {name: list(several) for name, several in options.degraded.items()}, "seed": options.seed}
+    if options.baseline is not None:
+        robustness.require_baseline(options.baseline, facts)
+    with dataset(options.out, options.force) as folder:
+        jobs = list(_jobs(logs, options, made, folder))
         with frame_progress(f"{len(made)} combinations", enabled=True) as bar:
-            notes = sweep_logs(jobs, arguments.jobs, bar)
+            notes = sweep_logs(jobs, options.jobs, bar)
         describe(folder, made, facts)
     found = (f"note: {job.source.name}: {note}" for job, texts in zip(jobs, notes, strict=True) for note in texts)
     for line in dict.fromkeys(found):
         print_line(line)
-    _print(arguments, made, reference_of(made, cfg))
+    _print(options, files, made, reference_of(made, cfg))
 
 
-def _jobs(arguments: argparse.Namespace, made: tuple[Combination, ...], folder: Path) -> Iterator[Job]:
+def _jobs(logs: Sequence[Path], options: SweepOptions, made: tuple[Combination, ...], folder: Path) -> Iterator[Job]:
     """A job per log; with corruptions also one per combination, because each replays another log."""
-    overrides, time_range = parse_topic_options(arguments.topic), time_range_of(arguments)
-    for path, name in zip(arguments.logs, table_names(arguments.logs), strict=True):
-        job = Job(path, name, folder, made, overrides, time_range)
-        if not arguments.degrade:
+    for path, name in zip(logs, table_names(logs), strict=True):
+        job = Job(path, name, folder, made, options.topics, options.time_range)
+        if not options.degraded:
             yield job
             continue
         from roadperc_stream.tools.degrade import degrade_log  # noqa: PLC0415 - only corruptions need it
 
         for item in made:
             chosen = {str(item.settings["corruption"]): int(item.settings["severity"] or 0)} if item.number else {}
-            degrade = partial(degrade_log, severities=chosen, seed=arguments.seed, overrides=overrides)
+            degrade = partial(degrade_log, severities=chosen, seed=options.seed, overrides=options.topics)
             yield replace(job, combinations=(item,), degrade=degrade if chosen else None)
 
 
-def _print(arguments: argparse.Namespace, made: Sequence[Combination], reference: Combination) -> None:
+def _print(options: SweepOptions, files: ResultFiles, made: Sequence[Combination], reference: Combination) -> None:
     """Print the best settings or the effect of corruptions, and write them to the files for other programs."""
-    folder: Path = arguments.out
-    console, files = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
-    found = [(metric, scores(files, made, metric)) for metric in METRICS if not (arguments.degrade and metric.noise)]
-    heading = f"{len(files)} tables in {folder}: {len(made)} settings, reference {reference}"
+    folder = options.out
+    console, tables_found = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
+    judged = [metric for metric in METRICS if not (options.degraded and metric.noise)]
+    found = [(metric, scores(tables_found, made, metric)) for metric in judged]
+    heading = f"{len(tables_found)} tables in {folder}: {len(made)} settings, reference {reference}"
     values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}
     taken = (f"  {key} {', '.join(texts)}" for key, texts in values.items())
     as_json = _as_json(found, made, reference)
-    if arguments.degrade:
-        rated = robustness.robustness_of_all(found, made, arguments.baseline)
-        tables = (*_by_severity(found, made), *robustness.tables_of(rated, arguments.baseline))
+    if options.degraded:
+        rated = robustness.robustness_of_all(found, made, options.baseline)
+        tables = (*_by_severity(found, made), *robustness.tables_of(rated, options.baseline))
         as_json["robustness"] = {name: {"rr": rates, "ce": errors} for name, (rates, errors) in rated.items()}
         (folder / CURVES).write_text(curves([scored for scored in found if _differ(*scored)], made), encoding="utf-8")
         notes = [f"curves: {folder / CURVES}", without_effect(found), LEGEND[0]]
     else:
         tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
-        idle = [f"{key} changed nothing" for key in without_influence(folder, files, made)]
+        idle = [f"{key} changed nothing" for key in without_influence(folder, tables_found, made)]
         notes = [*idle, without_effect(found), *LEGEND]
     markdown = f"Sweep: {heading}", [note for note in notes if note], tables
     cases = [_case(scored, made, reference) for scored in found]
-    write_files(arguments, as_json, markdown, "sweep", cases)
+    write_files(files, as_json, markdown, "sweep", cases)
     print_lines(console, heading, *taken, unbroken=True)
     for table in tables:
         print_table(console, table)

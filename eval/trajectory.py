@@ -1,8 +1,8 @@
 """Prints errors of runs' trajectories against truth, and exports them for other tools."""
 
-import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream.errors import TableError
@@ -11,13 +11,13 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
 from .continued import find_joined
-from .machine import Case, write_files
 from .options import Alignment
 from .quantities import legend, listed, name_columns, percent, short_names
+from .result_files import Case, ResultFiles, write_files
 from .runs import Run
 from .trajectories.errors import Delta, ErrorStatistics
 from .trajectories.evaluation import Evaluation, Segments, evaluate
-from .trajectories.poses import RunPoses, export, read_poses
+from .trajectories.poses import PoseFormat, RunPoses, export, read_poses
 
 _ALIGNED: Final[Mapping[Alignment, str]] = {
     "se3": "aligned by SE(3)",
@@ -114,33 +114,38 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:z.4f}"
 
 
-def trajectories(arguments: argparse.Namespace, delta: Delta) -> None:
+def trajectories(
+    names: Sequence[str],
+    alignment: Alignment | None,
+    delta: Delta,
+    exports: Mapping[PoseFormat, Path],
+    files: ResultFiles,
+) -> None:
     """Print the errors of runs' trajectories, write them to files for other programs, and export the poses.
 
+    ``exports`` are the folders of the poses in each format.
     A line names each run without a trajectory; it is an error if no run has one.
 
     Raises:
         TableError: an argument names no run, or no run has a trajectory.
         TargetError: a file cannot be written.
     """
-    found = find_joined(arguments.runs)
+    found = find_joined(names)
     evaluated: list[Evaluation] = []
     refused: dict[str, TableError] = {}
     exported = False
     for item in found.runs:
         try:
             poses = read_poses(item)
-            if arguments.export_tum:
-                export(arguments.export_tum, poses, "tum")
-            if arguments.export_kitti:
-                export(arguments.export_kitti, poses, "kitti")
-            exported = bool(arguments.export_tum or arguments.export_kitti)
-            evaluated.append(evaluate(poses, arguments.align, delta))
+            for kind, folder in exports.items():
+                export(folder, poses, kind)
+                exported = True
+            evaluated.append(evaluate(poses, alignment, delta))
         except TableError as error:
             refused[item.name] = error
     if not evaluated and not exported:
         raise next(iter(refused.values()))
-    _write(evaluated, refused, arguments)
+    _write(evaluated, refused, files)
     console = console_for(sys.stdout)
     print_lines(console, *found.notes, *map(str, refused.values()), unbroken=True)
     if len(evaluated) == 1:
@@ -164,8 +169,8 @@ def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
     return (line,), {"trajectory": _as_json(found)}
 
 
-def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], arguments: argparse.Namespace) -> None:
-    """Write the files of ``--json``, ``--markdown`` and ``--junit``; a run without a trajectory is skipped."""
+def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], files: ResultFiles) -> None:
+    """Write the files for other programs; a run without a trajectory is skipped."""
     names = {item.run.name: item.run.name for item in evaluated}
     values = {"runs": {item.run.name: _as_json(item) for item in evaluated}}
     skipped = {name: str(error) for name, error in refused.items()}
@@ -174,7 +179,7 @@ def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], a
     cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
     cases += [Case(name, "trajectory", "skipped", error) for name, error in skipped.items()]
     markdown = "Trajectories", [*notes, *skipped.values()], tables
-    write_files(arguments, values | {"skipped": skipped}, markdown, "trajectory", cases)
+    write_files(files, values | {"skipped": skipped}, markdown, "trajectory", cases)
 
 
 def _as_json(item: Evaluation) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 """The results of a comparison for other programs: JSON, Markdown and JUnit XML."""
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any, get_args
 
-from ..machine import Case, Outcome, write_files
+from ..result_files import Case, Outcome, ResultFiles, write_files
 from .comparing import Comparison
 from .display import metrics_table
 from .summary import command, outcome, summary, values, where
@@ -14,15 +13,15 @@ from .verdicts import Mark, MarkedStatistic, Place, Verdict
 _ALL_LOGS = "all logs"
 
 
-def write_results(found: Comparison, arguments: argparse.Namespace) -> None:
-    """Write the files of ``--json``, ``--markdown`` and ``--junit``.
+def write_results(found: Comparison, files: ResultFiles, *, exact: bool) -> None:
+    """Write the files for other programs; with ``exact`` also each field as a JUnit case.
 
     Raises:
         TargetError: a file cannot be written.
     """
     first, *lines = summary(found)
     markdown = f"Comparison: {first}", lines, [metrics_table(found)]
-    write_files(arguments, as_json(found), markdown, "compare", list(_cases(found, exact=arguments.exact)))
+    write_files(files, as_json(found), markdown, "compare", list(_cases(found, exact=exact)))
 
 
 def as_json(found: Comparison) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Prints the report over a batch's dataset."""
 
-import argparse
 import math
 import sys
 from collections import Counter
@@ -17,13 +16,15 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..answers import Answer, of_summaries, print_answer, wants_files, with_findings, write_answer
+from ..answers import Answer, of_summaries, print_answer, with_findings, write_answer
 from ..brief import judged_stages, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
 from ..findings import findings_of_dataset, report_lines
 from ..frame_commands import view_dataset_command
+from ..options import ReportOptions
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
 from ..report import inputs, precision
+from ..result_files import ResultFiles
 from ..sections import LISTED, sections
 from ..slices import object_slices, of_objects
 from ..summary import Summary
@@ -176,8 +177,8 @@ def _count(rows: pl.DataFrame) -> str:
     return f"{rows.height} ({listed(names, 3)})"
 
 
-def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
-    """Print the figures of a dataset by group, and its worst logs, and write the files that the options name.
+def print_dataset(dataset: Dataset, options: ReportOptions, files: ResultFiles) -> None:
+    """Print the figures of a dataset by group, and its worst logs; write the page and the files for other programs.
 
     Without ``by`` the groups are configurations, and versions if they differ.
 
@@ -185,50 +186,55 @@ def print_dataset(dataset: Dataset, arguments: argparse.Namespace) -> None:
         TableError: there are no tables, a table cannot be read, or a column does not exist.
         TargetError: a file cannot be written.
     """
-    runs, files = read_runs(dataset), metrics_files(dataset)
+    runs, tables = read_runs(dataset), metrics_files(dataset)
     console = console_for(sys.stdout)
-    if not files:
+    if not tables:
         if not runs.height:
             raise TableError(f"{dataset.address}: {NO_TABLES}")
         print_lines(console, *_statuses(runs, FAILED_LISTED), unbroken=True)
         raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
-    if arguments.html is not None:
+    if options.html is not None:
         from ..html.dataset_page import write_dataset_page  # noqa: PLC0415 - only the page needs plotly
 
-        write_dataset_page(arguments.html, dataset)
-    _print_tables(console, dataset, runs, files, arguments)
-    if arguments.html is not None:
-        print_lines(console, "", f"page   {arguments.html}", unbroken=True)
+        write_dataset_page(options.html, dataset)
+    _print_tables(console, dataset, runs, tables, options, files)
+    if options.html is not None:
+        print_lines(console, "", f"page   {options.html}", unbroken=True)
 
 
 def _print_tables(
-    console: Console, dataset: Dataset, runs: pl.DataFrame, files: Sequence[str], arguments: argparse.Namespace
+    console: Console,
+    dataset: Dataset,
+    runs: pl.DataFrame,
+    tables: Sequence[str],
+    options: ReportOptions,
+    files: ResultFiles,
 ) -> None:
-    if arguments.by and of_objects(arguments.by, (*scan_tables(files).collect_schema(), *RUN_COLUMNS, DATE)):
-        answer = object_slices(scan_objects(dataset, runs), arguments.by, dataset.address)
+    if options.by and of_objects(options.by, (*scan_tables(tables).collect_schema(), *RUN_COLUMNS, DATE)):
+        answer = object_slices(scan_objects(dataset, runs), options.by, dataset.address)
         answer = with_findings(answer, findings_of_dataset(runs))
-        write_answer(answer, arguments)
+        write_answer(answer, files)
         print_answer(console, answer)
         return
-    found = group_frames(files, runs, arguments.by)
+    found = group_frames(tables, runs, options.by)
     configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
     names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
     summaries = summaries_of(found, names, configs)
     settings = settings_that_differ(settings_by_config(runs, configs))
-    head = [_contents(dataset, found.logs), *_statuses(runs, FAILED_LISTED if arguments.full else _FEW)]
+    head = [_contents(dataset, found.logs), *_statuses(runs, FAILED_LISTED if options.full else _FEW)]
     head += not_listed(runs, found.logs)
-    if not arguments.full or wants_files(arguments):
+    if not options.full or files.paths:
         answer = _answer(dataset, found, runs, names, summaries)
         answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
         answer = with_findings(answer, findings_of_dataset(runs))
-        write_answer(answer, arguments)
-        if not arguments.full:
+        write_answer(answer, files)
+        if not options.full:
             print_answer(console, answer)
             return
     print_lines(console, *report_lines(findings_of_dataset(runs)), *head, unbroken=True)
     print_table(console, settings)
     _print_groups(console, summaries, found)
-    _print_worst(console, found.logs, runs, names, arguments.worst)
+    _print_worst(console, found.logs, runs, names, options.worst)
 
 
 def _answer(

@@ -27,6 +27,9 @@ _NORMS: Final = (1e-3, 1e3)
 """Smallest and largest norm of a usable quaternion."""
 
 
+PoseFormat = Literal["tum", "kitti"]
+
+
 @dataclass(frozen=True)
 class RunPoses:
     """The poses of one run, and the numbers of frames that have them.
@@ -127,7 +130,7 @@ def known_poses(rows: Float) -> NDArray[np.bool_]:
     return known
 
 
-def export(folder: Path, run: RunPoses, suffix: Literal["tum", "kitti"]) -> None:
+def export(folder: Path, run: RunPoses, suffix: PoseFormat) -> None:
     """Write NAME.est.SUFFIX and with truth NAME.true.SUFFIX, with ``tum_lines`` or ``kitti_lines``.
 
     If a run has several segments, each has its files: NAME.segment-0.est.tum and so on. NAME contains folders if other

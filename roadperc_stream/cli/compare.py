@@ -2,11 +2,15 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import add_machine_arguments
+from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
+
+if TYPE_CHECKING:
+    from roadperc_stream.eval.compare import CompareOptions
 
 _EXAMPLE = """\
 example:
@@ -42,7 +46,24 @@ def main(argv: list[str] | None = None) -> int:
     _require_two(parser, arguments)
     from roadperc_stream.eval.compare import compare
 
-    return run(lambda: compare(arguments), EXIT_UNDECIDED)
+    sides, options = (arguments.base, arguments.new), _options(arguments)
+    return run(lambda: compare(*sides, options, result_files_of(arguments)), EXIT_UNDECIDED)
+
+
+def _options(arguments: argparse.Namespace) -> "CompareOptions":
+    from roadperc_stream.eval.compare import CompareOptions
+    from roadperc_stream.eval.options import Rules
+
+    amounts = tuple(arguments.tolerance), tuple(arguments.allow)
+    return CompareOptions(
+        (arguments.base_config, arguments.new_config),
+        Rules(tuple(arguments.ignore), *amounts, arguments.times),
+        arguments.criteria,
+        full=arguments.full,
+        exact=arguments.exact,
+        other_log=arguments.other_log,
+        update_reference=arguments.update_reference,
+    )
 
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
@@ -91,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="after the comparison replace the differing tables of BASE with those of NEW, and exit with 0",
     )
-    add_machine_arguments(parser)
+    add_result_file_arguments(parser)
     for action, completer in ((base, files(*RUNS)), (new, files(*RUNS)), (criteria, files(".toml"))):
         completed_by(action, completer)
     return parser

@@ -1,6 +1,5 @@
 """Results for other programs: JSON, Markdown for merge requests, and JUnit XML for CI servers."""
 
-import argparse
 import html
 import json
 import math
@@ -34,29 +33,42 @@ class Case:
     text: str = ""
 
 
+@dataclass(frozen=True)
+class ResultFiles:
+    """Files for other programs; None for those that are not written."""
+
+    json: Path | None = None
+    markdown: Path | None = None
+    junit: Path | None = None
+
+    @property
+    def paths(self) -> list[Path]:
+        """Those that are written."""
+        return [path for path in (self.json, self.markdown, self.junit) if path is not None]
+
+
 def write_files(
-    arguments: argparse.Namespace,
+    files: ResultFiles,
     values: Mapping[str, Any],
     markdown: tuple[str, Sequence[str], Sequence[TextTable]],
     suite: str,
     cases: Sequence[Case],
 ) -> None:
-    """Write the files of ``--json``, ``--markdown`` (title, lines and tables) and ``--junit``, if they are given.
+    """Write the files for other programs; ``markdown`` is title, lines and tables.
 
     Raises:
         TargetError: a file cannot be written, has the suffix of an input, or is named twice.
     """
-    paths = [path for path in (arguments.json, arguments.markdown, arguments.junit) if path is not None]
-    for place, path in enumerate(paths):
+    for place, path in enumerate(files.paths):
         require_result(path)
-        if real_path(path) in map(real_path, paths[:place]):
+        if real_path(path) in map(real_path, files.paths[:place]):
             raise TargetError(f"{path}: two options name it; give each result its own file")
-    if arguments.json is not None:
-        write_json(arguments.json, values)
-    if arguments.markdown is not None:
-        write_markdown(arguments.markdown, *markdown)
-    if arguments.junit is not None:
-        write_junit(arguments.junit, f"roadperc-{suite}", cases)
+    if files.json is not None:
+        write_json(files.json, values)
+    if files.markdown is not None:
+        write_markdown(files.markdown, *markdown)
+    if files.junit is not None:
+        write_junit(files.junit, f"roadperc-{suite}", cases)
 
 
 def require_result(path: Path) -> Path:
