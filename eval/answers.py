@@ -34,7 +34,7 @@ from .options import Rules
 from .quantities import TRUTH
 from .result_files import Case, ResultFiles, write_files
 from .runs import Run
-from .summary import Summary
+from .summaries import Summary
 
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
 _DIFFERENCES_SHOWN: Final = 5

@@ -11,7 +11,7 @@ from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
 
 from .quantities import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
 from .result_files import Case
-from .summary import Summary, WorstFrame
+from .summaries import Summary, WorstFrame
 
 Command = Callable[[WorstFrame], str]
 """The command that shows a frame."""

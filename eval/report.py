@@ -25,7 +25,7 @@ from .result_files import ResultFiles
 from .runs import Run
 from .sections import LISTED, accuracy, latency, missing_outputs, sections, worst_frames
 from .slices import slices_of_runs
-from .summary import Summary, summarise_group, summarise_run
+from .summaries import Summary, summarise_group, summarise_run
 from .trajectory import in_short
 
 RUNS_LISTED: Final = 40

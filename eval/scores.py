@@ -1,18 +1,13 @@
-"""Counts over the frames of a table, and scores of many frames: precision, recall, F1 and lag."""
+"""Scores of many frames: precision, recall and F1 of counted outputs, and the lag of an estimate."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import polars as pl
 
-from roadperc_stream.model import reason_of
-from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
-
-from .quantities import CATEGORIES, CONFUSED, COUNTED, COUNTS, TRACED
+from .quantities import COUNTED, TRACED
 from .scan import before
 
 _FARTHEST: Final = 6
@@ -22,8 +17,6 @@ _FOLLOWS: Final = 0.5
 """Smallest correlation of an estimate that follows its truth; on a straight road it is lower."""
 _DISTINCT: Final = 1.25
 """Minimum ratio between the unexplained variance at other lags and that at the reported lag."""
-BETWEEN: Final = "\t"
-"""Separates a true text from its estimate."""
 _ROUNDING: Final = 1e-9
 _FEWEST: Final = 3
 """Fewest frames for a correlation; two columns of fewer frames always correlate."""
@@ -60,7 +53,7 @@ class Score:
 
 
 def scores(totals: Mapping[str, int]) -> list[Score]:
-    """Scores from the sums of ``COUNTS`` over the frames; a score needs all three of its counts."""
+    """Scores from the sums of the count columns over the frames; a score needs all three of its counts."""
     return [
         Score(name, *(totals[column] for column in columns))
         for name, columns in COUNTED.items()
@@ -111,79 +104,3 @@ def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float
 
 def _share(part: int, whole: int) -> float | None:
     return part / whole if whole else None
-
-
-@dataclass(frozen=True)
-class Tallies:
-    """Counts over frames.
-
-    ``incomplete`` counts the frames in which any role lacks a message, ``missing`` those of each role. ``categories``
-    counts the values of each text column, ``reasons`` the reasons of absent outputs. ``totals`` are the sums of the
-    count columns that have values.
-    """
-
-    incomplete: int
-    categories: Mapping[str, Counter[str]]
-    missing: Counter[str]
-    reasons: ReasonCounts
-    totals: Mapping[str, int]
-
-
-@cache  # the same for all tables
-def tallies() -> list[pl.Expr]:
-    """The expressions for ``tallied``: counts of frames and texts, and sums, null without values."""
-    return [
-        (pl.col("missing").list.len() > 0).sum().alias("incomplete"),
-        *(_texts(name) for name in CATEGORIES),
-        *(_pairs(name, *columns) for name, columns in CONFUSED.items()),
-        *(_texts(name, of_lists=True) for name in ("missing", "reasons")),
-        *(pl.when(pl.col(name).count() > 0).then(pl.col(name).sum()).cast(pl.Int64) for name in COUNTS),
-    ]
-
-
-def tallied(found: Mapping[str, Any]) -> Tallies:
-    """The counts from a row of ``tallies``."""
-    return Tallies(
-        incomplete=found["incomplete"],
-        categories={name: _counter(found[name]) for name in (*CATEGORIES, *CONFUSED)},
-        missing=_counter(found["missing"]),
-        reasons=grouped((reason_of(**item["text"]), item["count"]) for item in found["reasons"]),
-        totals={name: found[name] for name in COUNTS if found[name] is not None},
-    )
-
-
-def tallied_together(parts: Iterable[Tallies]) -> Tallies:
-    """The counts over all parts."""
-    listed = list(parts)
-    return Tallies(
-        incomplete=sum(part.incomplete for part in listed),
-        categories={name: _added(part.categories[name] for part in listed) for name in (*CATEGORIES, *CONFUSED)},
-        missing=_added(part.missing for part in listed),
-        reasons=merged(part.reasons for part in listed),
-        totals=_added(part.totals for part in listed),
-    )
-
-
-def _texts(name: str, *, of_lists: bool = False) -> pl.Expr:
-    """Number of occurrences of each text: a list of structs of ``text`` and ``count``."""
-    return _counted(pl.col(name).explode() if of_lists else pl.col(name)).alias(name)
-
-
-def _pairs(name: str, truth: str, estimate: str) -> pl.Expr:
-    """Number of occurrences of each true text with each estimate, which may be empty, separated by ``BETWEEN``."""
-    return _counted(pl.concat_str(truth, pl.col(estimate).fill_null(""), separator=BETWEEN)).alias(name)
-
-
-def _counted(texts: pl.Expr) -> pl.Expr:
-    return texts.drop_nulls().value_counts(sort=True).struct.rename_fields(["text", "count"]).implode()
-
-
-def _counter(rows: Iterable[Mapping[str, Any]]) -> Counter[str]:
-    return Counter({row["text"]: row["count"] for row in rows})
-
-
-def _added(counters: Iterable[Mapping[str, int]]) -> Counter[str]:
-    total: Counter[str] = Counter()
-    for counter in counters:
-        total.update(counter)
-    return total

@@ -28,9 +28,8 @@ from .quantities import (
     ranked,
     rounded,
 )
-from .scores import BETWEEN
 from .statistics import Statistics
-from .summary import Summary, WorstFrame
+from .summaries import BETWEEN, Summary, WorstFrame
 
 _SIGMAS: Final = tuple(f"{limit}\N{GREEK SMALL LETTER SIGMA} %" for limit in ("1", "2", ">3"))
 _LARGE: Final = 100

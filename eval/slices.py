@@ -1,7 +1,6 @@
 """Slices of runs by columns or SQL expressions: errors of the stages, or of the objects, in each slice."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Final
 
@@ -16,14 +15,14 @@ from roadperc_stream.system.text import number
 from .answers import Answer, of_summaries
 from .brief import LISTED, rows_tables
 from .configurations import short_digest
-from .dataset.groups import Pool, require_few
+from .dataset.groups import require_few
 from .dataset.keys import Key, group_name
 from .expressions import as_key, key_name, require_roots, roots
 from .frame_commands import view_command
-from .quantities import RANKED, percent
+from .quantities import percent
 from .runs import Run, collect
-from .scan import objects_of, rows_of, scanned, worst_frames
-from .summary import EXACT_FRAMES, Summary, WorstFrame, worst_of
+from .scan import objects_of, rows_of, scanned
+from .summaries import EXACT_FRAMES, Figures, Summary
 
 _LOG: Final = "log"
 _CLASS: Final = "class"
@@ -58,20 +57,13 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
 
 
 def _slices(runs: Sequence[Run], by: Sequence[str]) -> list[Summary]:
-    pools: dict[Key, Pool] = {}
-    worst: dict[tuple[Key, str], list[WorstFrame]] = {}
+    found: dict[Key, Figures] = {}
     keys = [key_name(text) for text in by]
-    with ThreadPoolExecutor(1) as threads:
-        for run in runs:
-            for key, frames in _keyed(run, by).partition_by(keys, as_dict=True, maintain_order=True).items():
-                pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
-                require_few(len(pools), by)
-                found = frames.select(worst_frames(quantity, 1) for quantity in RANKED).row(0, named=True)
-                for q in RANKED:
-                    at = (WorstFrame(run.name, **row) for row in found[f"worst {q.column}"])
-                    worst.setdefault((key, q.column), []).extend(at)
-    first = {key: {q.column: worst_of(worst[key, q.column], q, 1) for q in RANKED} for key in pools}
-    return [replace(pool.summary(group_name(key, by, {})), worst=first[key]) for key, pool in pools.items()]
+    for run in runs:
+        for key, frames in _keyed(run, by).partition_by(keys, as_dict=True, maintain_order=True).items():
+            found.setdefault(key, Figures(EXACT_FRAMES, worst=1)).add(frames, run)
+            require_few(len(found), by)
+    return [figures.summary(group_name(key, by, {})) for key, figures in found.items()]
 
 
 def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:

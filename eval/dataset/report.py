@@ -27,7 +27,7 @@ from ..report import inputs, precision
 from ..result_files import ResultFiles
 from ..sections import LISTED, sections
 from ..slices import object_slices, of_objects
-from ..summary import Summary
+from ..summaries import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
 from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
 from .place import (

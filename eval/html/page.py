@@ -27,7 +27,7 @@ from ..quantities import listed, percent
 from ..report import in_segments
 from ..runs import Run
 from ..sections import sections
-from ..summary import Summary, WorstFrame, summarise_group
+from ..summaries import Summary, WorstFrame, summarise_group
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall

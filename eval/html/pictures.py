@@ -24,7 +24,7 @@ from ..frame_commands import view_command
 from ..quantities import Quantity, rounded
 from ..runs import Run, collect
 from ..scan import SEGMENT, rows_of, since_start_s
-from ..summary import WorstFrame
+from ..summaries import WorstFrame
 
 WORST: Final = 10
 """Worst frames on the page, over all runs."""

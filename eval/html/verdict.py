@@ -17,7 +17,7 @@ from ..options import Rules
 from ..quantities import LOST, TRUTH, Quantity, listed
 from ..runs import Run
 from ..sections import ranked_by
-from ..summary import Summary, WorstFrame
+from ..summaries import Summary, WorstFrame
 
 BARS: Final = 9
 """Most bars of the verdict."""

@@ -10,7 +10,7 @@ import pytest
 
 from roadperc_stream.cli.report import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval import summary
+from roadperc_stream.eval import summaries
 from roadperc_stream.eval.frame_commands import view_command, view_pair_command
 from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import table_facts
@@ -128,8 +128,8 @@ def test_the_rank_error_of_thinned_quantiles_is_printed(tmp_path, capsys, monkey
         write(tmp_path / f"{name}.metrics.parquet", [row(k, camera_height_m=float(k)) for k in range(100)])
     _, text, _ = report(capsys, tmp_path)
     assert "in rank" not in text
-    monkeypatch.setattr(summary, "EXACT_FRAMES", 199)
-    monkeypatch.setattr(summary, "POINTS", 10)
+    monkeypatch.setattr(summaries, "EXACT_FRAMES", 199)
+    monkeypatch.setattr(summaries, "POINTS", 10)
     _, text, _ = report(capsys, tmp_path)
     assert "quantiles over all 200 frames are within 7.50 % in rank, those of absolute values within 15.00 %" in (
         text.replace("\n", " ")

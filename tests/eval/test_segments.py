@@ -12,7 +12,7 @@ from roadperc_stream.eval.comparison.pairing import logged_runs, pair_runs
 from roadperc_stream.eval.html.charts import POSE_COLUMNS, paths, trajectory
 from roadperc_stream.eval.html.figures import load_series
 from roadperc_stream.eval.options import Rules
-from roadperc_stream.eval.summary import summarise_run
+from roadperc_stream.eval.summaries import summarise_run
 from roadperc_stream.eval.trajectories.errors import Delta
 from roadperc_stream.eval.trajectories.evaluation import evaluate
 from roadperc_stream.eval.trajectories.poses import read_poses
