@@ -12,8 +12,6 @@ from roadperc_stream.schemas.columns import ObjectMetrics, columns_of
 from roadperc_stream.system.files import OBJECTS_SUFFIX
 from roadperc_stream.system.text import number
 
-from .answers import Answer, of_summaries
-from .brief import LISTED, rows_tables
 from .configurations import short_digest
 from .dataset.groups import require_few
 from .dataset.keys import Key, group_name
@@ -22,6 +20,8 @@ from .frame_commands import view_command
 from .quantities import percent
 from .runs import Run, collect
 from .scan import objects_of, rows_of, scanned
+from .short_report import Report, of_summaries
+from .stages import LISTED, rows_tables
 from .summaries import EXACT_FRAMES, Figures, Summary
 
 _LOG: Final = "log"
@@ -34,7 +34,7 @@ def of_objects(by: Sequence[str], frame_columns: Iterable[str]) -> bool:
     return any(name in OBJECT_COLUMNS.difference(frame_columns, {_LOG}) for text in by for name in roots(text))
 
 
-def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
+def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Report:
     """The errors in each slice of the frames of runs; by a column of objects, in each slice of the objects.
 
     Raises:
@@ -50,10 +50,10 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Answer:
     require_roots(by, columns, OBJECT_COLUMNS, "the tables")
     summaries = _slices(runs, by)
     named = {run.name: run for run in runs}
-    answer = of_summaries("Slices", "slices", summaries, lambda at: view_command(named[at.run], at.frame))
+    found = of_summaries("Slices", "slices", summaries, lambda at: view_command(named[at.run], at.frame))
     frames = number(sum(run.frames for run in runs), "frame")
     heading = f"{frames} in {number(len(summaries), 'slice')} by {', '.join(by)}"
-    return replace(answer, head=(heading, *answer.head), tables=rows_tables("Slice", summaries))
+    return replace(found, head=(heading, *found.head), parts=rows_tables("Slice", summaries))
 
 
 def _slices(runs: Sequence[Run], by: Sequence[str]) -> list[Summary]:
@@ -77,7 +77,7 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     return collect(pl.concat([scanned(rows), keys], how="horizontal").with_columns(config), run.source_name)
 
 
-def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:
+def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Report:
     """The errors of the distances of kept detections in each slice, the largest p95 first.
 
     ``rows`` are those of tables of objects, with the name of the log in ``log``; errors name ``source``.
@@ -112,7 +112,7 @@ def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Answer:
     heading = f"{sum(item['objects'] for item in slices.values())} objects by {', '.join(by)}"
     table = TextTable("Slice", headers, tuple(shown), (note, *more), label_columns=15)
     numbers = {name: {k: v for k, v in item.items() if k not in keys} for name, item in slices.items()}
-    return Answer("Slices of objects", (heading,), (table,), (), {"slices": numbers})
+    return Report("Slices of objects", (heading,), (table,), (), {"slices": numbers})
 
 
 def _object_cells(item: dict[str, Any]) -> Iterator[str]:

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.geometry import Float
 
+from ..full_tables import better
 from ..quantities import TRUTH
-from ..sections import better
 from ..trajectories.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
 from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers, thinned
 

@@ -10,16 +10,16 @@ from roadperc_stream.output.text_table import TextTable, by_header, row
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
 
-from ..brief import stages_of
 from ..comparison.verdicts import Mark
+from ..dataset.dataset_report import settings_that_differ
 from ..dataset.groups import group_frames, summaries_of
 from ..dataset.keys import in_order_of_runs, log_names, settings_by_config
 from ..dataset.pairs import in_a_folder, runs_of_logs
 from ..dataset.place import DONE, Dataset, metrics_files, read_runs
-from ..dataset.report import settings_that_differ
 from ..dataset.worst import LogKey, key_of, worst_logs
 from ..findings import findings_of_dataset, report_lines
 from ..quantities import Quantity
+from ..stages import stages_of
 from .page import rendered, write_page
 from .pictures import shown
 from .verdict import single_sentence, size

@@ -13,10 +13,10 @@ from roadperc_stream.system.text import number
 from ..comparison.comparing import Comparison, compare_runs
 from ..comparison.pairing import pair_runs
 from ..comparison.verdicts import Mark, Place, Verdict
+from ..full_tables import ranked_by
 from ..options import Rules
 from ..quantities import LOST, TRUTH, Quantity, listed
 from ..runs import Run
-from ..sections import ranked_by
 from ..summaries import Summary, WorstFrame
 
 BARS: Final = 9

@@ -29,18 +29,12 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     from roadperc_stream.eval.dataset.place import dataset_at
     from roadperc_stream.eval.options import ReportOptions
+    from roadperc_stream.eval.report import report
 
+    if len(arguments.runs) > 1 and any(map(dataset_at, arguments.runs)):
+        parser.error("expected one OUT_DIR of a batch without any other RUN")
     options = ReportOptions(arguments.by, arguments.full, arguments.worst, arguments.html)
-    datasets = [dataset for run_ in arguments.runs if (dataset := dataset_at(run_))]
-    if datasets:
-        if len(arguments.runs) > 1:
-            parser.error("expected one OUT_DIR of a batch without any other RUN")
-        from roadperc_stream.eval.dataset.report import print_dataset
-
-        return run(lambda: print_dataset(datasets[0], options, result_files_of(arguments)))
-    from roadperc_stream.eval.report import print_report
-
-    return run(lambda: print_report(arguments.runs, options, result_files_of(arguments)))
+    return run(lambda: report(arguments.runs, options, result_files_of(arguments)))
 
 
 def _expressions(text: str) -> list[str]:

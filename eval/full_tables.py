@@ -59,7 +59,7 @@ _SECONDS: Final = "s: seconds from the log's first frame"
 _SEGMENTS: Final = "a segment starts at the time at which the previous one ended"
 
 
-def sections(summaries: Summaries) -> Iterator[TextTable]:
+def full_tables(summaries: Summaries) -> Iterator[TextTable]:
     """All tables in their order, including those without rows."""
     tables = (
         coverage,

@@ -1,16 +1,27 @@
-"""Short answers of the report: lines and tables for a terminal and Markdown, values for JSON, cases for JUnit."""
+"""A report: lines and tables for a terminal and Markdown, values for JSON, cases for JUnit; and the short ones."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from rich.console import Console
 
-from roadperc_stream.output.terminal import print_lines, print_parts
+from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
-from .brief import (
+from .comparison.bootstrap import LEVEL
+from .comparison.comparing import Comparison, compare_runs
+from .comparison.pairing import pair_runs
+from .comparison.summary import shown_unit, where
+from .comparison.verdicts import CauseGroup, Mark
+from .findings import Found, finding_counts, report_lines
+from .frame_commands import view_command
+from .options import Rules
+from .quantities import TRUTH
+from .result_files import Case, ResultFiles, write_files
+from .runs import Run
+from .stages import (
     NO_TRUTH,
     Command,
     assumed_height,
@@ -23,17 +34,6 @@ from .brief import (
     worst_line,
     worst_of,
 )
-from .comparison.bootstrap import LEVEL
-from .comparison.comparing import Comparison, compare_runs
-from .comparison.pairing import pair_runs
-from .comparison.summary import shown_unit, where
-from .comparison.verdicts import CauseGroup, Mark
-from .findings import Found, finding_counts, report_lines
-from .frame_commands import view_command
-from .options import Rules
-from .quantities import TRUTH
-from .result_files import Case, ResultFiles, write_files
-from .runs import Run
 from .summaries import Summary
 
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
@@ -41,41 +41,45 @@ _DIFFERENCES_SHOWN: Final = 5
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The short report: lines above and below its tables, and the same figures for JSON and JUnit."""
+class Report:
+    """Lines above and below the parts, which are tables and wrapped lines, and the same figures for JSON and JUnit."""
 
     title: str
     head: tuple[str, ...]
-    tables: tuple[TextTable, ...]
-    tail: tuple[str, ...]
-    values: Mapping[str, Any]
+    parts: tuple[TextTable | str, ...]
+    tail: tuple[str, ...] = ()
+    values: Mapping[str, Any] = field(default_factory=dict)
     cases: tuple[Case, ...] = ()
 
 
-def print_answer(console: Console, answer: Answer) -> None:
+def print_report(console: Console, report: Report) -> None:
     """Print the lines and the tables."""
-    print_lines(console, *answer.head, unbroken=True)
-    print_parts(console, *answer.tables)
-    print_lines(console, *answer.tail, unbroken=True)
+    print_lines(console, *report.head, unbroken=True)
+    for part in report.parts:
+        if isinstance(part, str):
+            print_lines(console, part)
+        else:
+            print_table(console, part)
+    print_lines(console, *report.tail, unbroken=True)
 
 
-def with_findings(answer: Answer, found: Found) -> Answer:
-    """The answer with the findings of its runs in its first lines and its values."""
-    values = {**answer.values, "findings": finding_counts(found)}
-    return replace(answer, head=(*report_lines(found), *answer.head), values=values)
+def with_findings(report: Report, found: Found, notes: Iterable[str] = ()) -> Report:
+    """The report with the findings of its runs and notes in its first lines, and the findings in its values."""
+    values = {**report.values, "findings": finding_counts(found)}
+    return replace(report, head=(*report_lines(found), *notes, *report.head), values=values)
 
 
-def write_answer(answer: Answer, files: ResultFiles) -> None:
+def write_report(report: Report, files: ResultFiles) -> None:
     """Write the files for other programs.
 
     Raises:
         TargetError: a file cannot be written.
     """
-    markdown = answer.title, (*answer.head, *answer.tail), answer.tables
-    write_files(files, answer.values, markdown, "report", answer.cases)
+    tables = [part for part in report.parts if isinstance(part, TextTable)]
+    write_files(files, report.values, (report.title, (*report.head, *report.tail), tables), "report", report.cases)
 
 
-def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Answer:
+def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Report:
     """The stages of one summary, or the worst frame of several; ``kind`` is their name in JSON."""
     judged = judged_stages(summaries)
     figures = {summary.name: stage_figures(summary, judged) for summary in summaries}
@@ -89,10 +93,10 @@ def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: C
     truth = any(quantity.column in summary.statistics for quantity in TRUTH for summary in summaries)
     head = () if truth else (NO_TRUTH,)
     heights = dict.fromkeys(filter(None, map(assumed_height, summaries)))
-    return Answer(title, (*head, *heights), tables, (*shown, *times), {kind: values}, cases)
+    return Report(title, (*head, *heights), tables, (*shown, *times), {kind: values}, cases)
 
 
-def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
+def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Report:
     """The relevant differences of two runs of one log; the first run is the base.
 
     Raises:
@@ -111,7 +115,7 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Answer:
     return replace(
         with_each,
         head=(f"base {base.name}, new {new.name}: {number(found.frames, 'common frame')}", *settings, *with_each.head),
-        tables=(_differences(groups),) if groups else (),
+        parts=(_differences(groups),) if groups else (),
         tail=(
             *filter(None, (worst, none)),
             *(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),

@@ -1,32 +1,32 @@
-"""Prints the report over a batch's dataset."""
+"""The report on a batch's dataset."""
 
 import math
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
 from typing import Final
 
 import polars as pl
 from rich.console import Console
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.terminal import console_for, print_lines, print_parts, print_table
+from roadperc_stream.output.terminal import print_lines
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..answers import Answer, of_summaries, print_answer, with_findings, write_answer
-from ..brief import judged_stages, rows_tables, stage_figures, with_unit
 from ..configurations import Settings, rows_that_differ
-from ..findings import findings_of_dataset, report_lines
+from ..findings import findings_of_dataset
 from ..frame_commands import view_dataset_command
+from ..full_tables import LISTED, full_tables
 from ..options import ReportOptions
 from ..quantities import Quantity, legend, listed, percent, rounded, short_names
-from ..report import inputs, precision
-from ..result_files import ResultFiles
-from ..sections import LISTED, sections
+from ..run_report import inputs, precision
+from ..short_report import Report, of_summaries, with_findings
 from ..slices import object_slices, of_objects
+from ..stages import judged_stages, rows_tables, stage_figures, with_unit
 from ..summaries import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
 from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
@@ -51,6 +51,7 @@ _FEW: Final = 3
 _NAME_COLUMNS: Final = 22
 """Width of a group's name in the short report."""
 _HOUR_S: Final = 3600
+_MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 _NUMBER_COLUMNS: Final = 59
 """Width of the widest row of numbers beside the name of a group or of a log."""
 
@@ -177,86 +178,137 @@ def _count(rows: pl.DataFrame) -> str:
     return f"{rows.height} ({listed(names, 3)})"
 
 
-def print_dataset(dataset: Dataset, options: ReportOptions, files: ResultFiles) -> None:
-    """Print the figures of a dataset by group, and its worst logs; write the page and the files for other programs.
+class DatasetReport:
+    """The report on a dataset: by group, and its worst logs."""
 
-    Without ``by`` the groups are configurations, and versions if they differ.
+    def __init__(self, dataset: Dataset, options: ReportOptions, console: Console) -> None:
+        """Read the list of runs.
 
-    Raises:
-        TableError: there are no tables, a table cannot be read, or a column does not exist.
-        TargetError: a file cannot be written.
-    """
-    runs, tables = read_runs(dataset), metrics_files(dataset)
-    console = console_for(sys.stdout)
-    if not tables:
-        if not runs.height:
-            raise TableError(f"{dataset.address}: {NO_TABLES}")
-        print_lines(console, *_statuses(runs, FAILED_LISTED), unbroken=True)
-        raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
-    if options.html is not None:
+        Raises:
+            TableError: there are no tables; then the failed logs are printed.
+        """
+        self._dataset, self._options, self._width = dataset, options, console.width
+        self._runs, self._files = read_runs(dataset), metrics_files(dataset)
+        self._findings = findings_of_dataset(self._runs)
+        if not self._files:
+            if not self._runs.height:
+                raise TableError(f"{dataset.address}: {NO_TABLES}")
+            print_lines(console, *_statuses(self._runs, FAILED_LISTED), unbroken=True)
+            raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
+
+    def write_page(self, path: Path) -> None:
+        """Write the page.
+
+        Raises:
+            RoadpercError: a table cannot be read, or the page cannot be written.
+        """
         from ..html.dataset_page import write_dataset_page  # noqa: PLC0415 - only the page needs plotly
 
-        write_dataset_page(options.html, dataset)
-    _print_tables(console, dataset, runs, tables, options, files)
-    if options.html is not None:
-        print_lines(console, "", f"page   {options.html}", unbroken=True)
+        write_dataset_page(path, self._dataset)
 
+    def short(self) -> Report:
+        """The stages of one group, or a row for each; then the worst log by each stage's error; or slices of objects.
 
-def _print_tables(
-    console: Console,
-    dataset: Dataset,
-    runs: pl.DataFrame,
-    tables: Sequence[str],
-    options: ReportOptions,
-    files: ResultFiles,
-) -> None:
-    if options.by and of_objects(options.by, (*scan_tables(tables).collect_schema(), *RUN_COLUMNS, DATE)):
-        answer = object_slices(scan_objects(dataset, runs), options.by, dataset.address)
-        answer = with_findings(answer, findings_of_dataset(runs))
-        write_answer(answer, files)
-        print_answer(console, answer)
-        return
-    found = group_frames(tables, runs, options.by)
-    configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
-    names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
-    summaries = summaries_of(found, names, configs)
-    settings = settings_that_differ(settings_by_config(runs, configs))
-    head = [_contents(dataset, found.logs), *_statuses(runs, FAILED_LISTED if options.full else _FEW)]
-    head += not_listed(runs, found.logs)
-    if not options.full or files.paths:
-        answer = _answer(dataset, found, runs, names, summaries)
-        answer = replace(answer, head=(*head, *answer.head), tables=(settings, *answer.tables))
-        answer = with_findings(answer, findings_of_dataset(runs))
-        write_answer(answer, files)
-        if not options.full:
-            print_answer(console, answer)
-            return
-    print_lines(console, *report_lines(findings_of_dataset(runs)), *head, unbroken=True)
-    print_table(console, settings)
-    _print_groups(console, summaries, found)
-    _print_worst(console, found.logs, runs, names, options.worst)
+        Raises:
+            TableError: a table cannot be read, or a column does not exist.
+        """
+        by = self._options.by
+        if self._by_objects:
+            found = object_slices(scan_objects(self._dataset, self._runs), by, self._dataset.address)
+        else:
+            found = self._of_groups()
+        return with_findings(found, self._findings)
 
+    def full(self) -> Report:
+        """All tables.
 
-def _answer(
-    dataset: Dataset, found: GroupedFrames, runs: pl.DataFrame, names: Mapping[str, str], summaries: Sequence[Summary]
-) -> Answer:
-    """The stages of one group, or a row for each group; then the worst log by each stage's error."""
-    short = _short([summary.name for summary in summaries], found.by.columns, _NAME_COLUMNS)
-    renamed = [replace(summary, name=short[summary.name]) for summary in summaries]
-    answer = of_summaries("Report", "groups", summaries, lambda _: "")
-    several = found.logs["config"].n_unique() > 1
-    columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, judged_stages(summaries))}
-    worst = [(q, logs[0]) for q, logs in worst_logs(found.logs, 1)[0].items() if q.column in columns]
-    lines, values = [], []
-    for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:
-        (log_id, config), at = key_of(item), item["at"][0]
-        command = view_dataset_command(dataset.address, names[log_id], at["frame"], config if several else "")
-        values.append({"column": quantity.column, "log": names[log_id], "config": config, **at, "command": command})
-        lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
-    note = () if runs.height else ("no runs.parquet: failed logs are unknown",)
-    tables = answer.tables if len(summaries) == 1 else rows_tables("Group", renamed)
-    tail = (*legend(short), *lines, *answer.tail, *note, "pass --full for all tables, --by EXPRESSION for slices")
-    return replace(answer, tables=tables, tail=tail, values={**answer.values, "worst_logs": values})
+        Raises:
+            TableError: a table cannot be read, or a column does not exist.
+        """
+        if self._by_objects:
+            return self.short()
+        worst, paths = self._worst_logs()
+        parts = (self._settings, *self._groups(), *worst)
+        found = Report("Report", self._head(FAILED_LISTED), parts, ("", *paths))
+        return with_findings(found, self._findings)
+
+    @property
+    def _by_objects(self) -> bool:
+        by = self._options.by
+        return bool(by) and of_objects(by, (*scan_tables(self._files).collect_schema(), *RUN_COLUMNS, DATE))
+
+    @cached_property
+    def _found(self) -> GroupedFrames:
+        return group_frames(self._files, self._runs, self._options.by)
+
+    @cached_property
+    def _configs(self) -> list[str]:
+        return in_order_of_runs(self._found.logs["config"].unique(maintain_order=True).to_list(), self._runs)
+
+    @cached_property
+    def _names(self) -> dict[str, str]:
+        return log_names(self._found.logs["log_id"].unique(maintain_order=True), self._runs)
+
+    @cached_property
+    def _summaries(self) -> list[Summary]:
+        return summaries_of(self._found, self._names, self._configs)
+
+    @property
+    def _settings(self) -> TextTable:
+        return settings_that_differ(settings_by_config(self._runs, self._configs))
+
+    def _head(self, failed: int) -> tuple[str, ...]:
+        logs = self._found.logs
+        return (_contents(self._dataset, logs), *_statuses(self._runs, failed), *not_listed(self._runs, logs))
+
+    def _of_groups(self) -> Report:
+        summaries, logs = self._summaries, self._found.logs
+        short = _short([summary.name for summary in summaries], self._found.by.columns, _NAME_COLUMNS)
+        found = of_summaries("Report", "groups", summaries, lambda _: "")
+        several = logs["config"].n_unique() > 1
+        columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, judged_stages(summaries))}
+        worst = [(q, rows[0]) for q, rows in worst_logs(logs, 1)[0].items() if q.column in columns]
+        lines, values = [], []
+        for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:
+            config, at, log = item["config"], item["at"][0], self._names[item["log_id"]]
+            command = view_dataset_command(self._dataset.address, log, at["frame"], config if several else "")
+            values.append({"column": quantity.column, "log": log, "config": config, **at, "command": command})
+            lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
+        note = () if self._runs.height else ("no runs.parquet: failed logs are unknown",)
+        renamed = [replace(summary, name=short[summary.name]) for summary in summaries]
+        tables = found.parts if len(summaries) == 1 else rows_tables("Group", renamed)
+        return replace(
+            found,
+            head=(*self._head(_FEW), *found.head),
+            parts=(self._settings, *tables),
+            tail=(*legend(short), *lines, *found.tail, *note, _MORE),
+            values={**found.values, "worst_logs": values},
+        )
+
+    def _groups(self) -> Iterator[str | TextTable]:
+        names = _short([s.name for s in self._summaries], self._found.by.columns, self._width - _NUMBER_COLUMNS)
+        renamed = [replace(summary, name=names[summary.name]) for summary in self._summaries]
+        if self._found.by.columns:
+            yield groups_table(renamed, self._found, tuple(legend(names)))
+        else:
+            yield inputs(renamed[0])
+        if any(summary.rank_error for summary in renamed):
+            yield precision(max(renamed, key=lambda summary: summary.rank_error))
+        yield from full_tables(renamed)
+        if len(renamed) > LISTED:
+            yield f"by group: at most {LISTED} of {len(renamed)} per row, those with the worst p95"
+
+    def _worst_logs(self) -> tuple[tuple[TextTable, TextTable], Iterator[str]]:
+        """The tables of the worst logs, and the paths of these logs."""
+        logs, names = self._found.logs, self._names
+        by_quantity, by_coverage = worst_logs(logs, self._options.worst)
+        keys = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
+        several = logs["config"].n_unique() > 1
+        full = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(keys)}
+        short = short_names(list(full.values()), self._width - _NUMBER_COLUMNS)
+        shown = {key: short[name] for key, name in full.items()}
+        tables = worst_logs_table(by_quantity, shown), least_covered_table(by_coverage, shown)
+        return tables, log_paths((log_id for log_id, _ in keys), names, self._runs)
 
 
 def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
@@ -266,35 +318,8 @@ def _contents(dataset: Dataset, logs: pl.DataFrame) -> str:
     return f"{dataset.address}: {counts}, {log_time(int(logs.unique('log_id')[SPAN_NS].sum()) / NS_PER_S)} of log"
 
 
-def _print_groups(console: Console, summaries: Sequence[Summary], found: GroupedFrames) -> None:
-    names = _short([summary.name for summary in summaries], found.by.columns, console.width - _NUMBER_COLUMNS)
-    renamed = [replace(summary, name=names[summary.name]) for summary in summaries]
-    if found.by.columns:
-        print_table(console, groups_table(renamed, found, tuple(legend(names))))
-    else:
-        print_lines(console, inputs(renamed[0]))
-    if any(summary.rank_error for summary in renamed):
-        print_lines(console, precision(max(renamed, key=lambda summary: summary.rank_error)))
-    print_parts(console, *sections(renamed))
-    if len(renamed) > LISTED:
-        print_lines(console, f"by group: at most {LISTED} of {len(renamed)} per row, those with the worst p95")
-
-
 def _short(names: Sequence[str], columns: Sequence[str], width: int) -> dict[str, str]:
     """Short names of groups; long names of groups by several columns are replaced by numbers."""
     if len(columns) > 1 and any(len(name) > width for name in names):
         return {name: f"group {number}" for number, name in enumerate(names, 1)}
     return short_names(names, width)
-
-
-def _print_worst(
-    console: Console, logs: pl.DataFrame, runs: pl.DataFrame, names: Mapping[str, str], number: int
-) -> None:
-    by_quantity, by_coverage = worst_logs(logs, number)
-    keys = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
-    several = logs["config"].n_unique() > 1
-    full = {key: f"{names[key[0]]} {key[1]}" if several else names[key[0]] for key in dict.fromkeys(keys)}
-    short = short_names(list(full.values()), console.width - _NUMBER_COLUMNS)
-    shown = {key: short[name] for key, name in full.items()}
-    print_parts(console, worst_logs_table(by_quantity, shown), least_covered_table(by_coverage, shown))
-    print_lines(console, "", *log_paths((log_id for log_id, _ in keys), names, runs), unbroken=True)
