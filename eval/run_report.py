@@ -33,7 +33,7 @@ _MORE: Final = "pass --full for all tables, --by EXPRESSION for slices"
 
 
 class RunReport:
-    """The report on runs."""
+    """The report on runs; a table that cannot be read, and a column that does not exist, raise ``TableError``."""
 
     def __init__(self, names: Sequence[str], options: ReportOptions, console: Console) -> None:
         """Find the runs.
@@ -50,29 +50,17 @@ class RunReport:
         self._options, self._columns = options, name_columns(console)
 
     def write_page(self, path: Path) -> None:
-        """Write the page.
-
-        Raises:
-            RoadpercError: a table cannot be read, or the page cannot be written.
-        """
+        """Write the page."""
         from .html.page import write_page  # noqa: PLC0415 - only the page needs plotly
 
         write_page(path, self._runs)
 
     def short(self) -> Report:
-        """The stages of a run, the differences of two runs of a log, a row for each of several, or slices.
-
-        Raises:
-            TableError: a table cannot be read, or a column does not exist.
-        """
+        """The stages of a run, the differences of two runs of a log, a row for each of several, or slices."""
         return with_findings(self._short(), self._findings, self._notes)
 
     def full(self) -> Report:
-        """All tables.
-
-        Raises:
-            TableError: a table cannot be read.
-        """
+        """All tables."""
         runs, worst = self._runs, self._options.worst
         parts = _of_one(runs[0], worst) if len(runs) == 1 else _of_several(runs, worst, self._columns)
         return with_findings(Report("Report", (), tuple(parts)), self._findings, self._notes)

@@ -7,14 +7,12 @@ from typing import Any, Final
 from rich.console import Console
 
 from roadperc_stream.output.terminal import print_lines, print_table
-from roadperc_stream.output.text_table import TextRow, TextTable, row
-from roadperc_stream.system.text import number
+from roadperc_stream.output.text_table import TextTable
 
-from .comparison.bootstrap import LEVEL
-from .comparison.comparing import Comparison, compare_runs
+from .comparison.comparing import compare_runs
 from .comparison.pairing import pair_runs
-from .comparison.summary import shown_unit, where
-from .comparison.verdicts import CauseGroup, Mark
+from .comparison.summary import summary as verdict_lines
+from .comparison.verdicts import Mark
 from .findings import Found, finding_counts, report_lines
 from .frame_commands import view_command
 from .options import Rules
@@ -37,7 +35,6 @@ from .stages import (
 from .summaries import Summary
 
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
-_DIFFERENCES_SHOWN: Final = 5
 
 
 @dataclass(frozen=True)
@@ -97,64 +94,22 @@ def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: C
 
 
 def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Report:
-    """The relevant differences of two runs of one log; the first run is the base.
+    """The verdict of a comparison of two runs of one log; the first run is the base.
 
     Raises:
         TableError: a table cannot be read, or the runs share no stamp.
     """
     base, new = runs
     found = compare_runs(pair_runs([base], [new], other_log=True), None, Rules())
-    groups = [group for mark in _MARKS for group in found.groups(mark)]
-    worst = _worst_line(found)
-    none = "" if groups else "no relevant difference"
     with_each = of_summaries(
         "Differences", "runs", summaries, lambda at: view_command(base if at.run == base.name else new, at.frame)
     )
-    changes = ", ".join(line for line in found.changes[0] if line)
-    settings = (f"settings: {changes}",) if changes else ()
+    changed = [verdict for mark in _MARKS for verdict in found.named(mark)]
+    values = {v.metric.name: {"base": v.base, "new": v.new, **vars(v.interval), "mark": v.mark} for v in changed}
     return replace(
         with_each,
-        head=(f"base {base.name}, new {new.name}: {number(found.frames, 'common frame')}", *settings, *with_each.head),
-        parts=(_differences(groups),) if groups else (),
-        tail=(
-            *filter(None, (worst, none)),
-            *(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),
-            "pass --full for the tables of both runs; roadperc-compare judges them",
-        ),
-        values={**with_each.values, "differences": _values(found)},
+        head=(f"base {base.name}, new {new.name}", *with_each.head, *verdict_lines(found)),
+        parts=(),
+        tail=tuple(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),
+        values={**with_each.values, "differences": values},
     )
-
-
-def _worst_line(found: Comparison) -> str:
-    """The frame in which the new run is worse by most; empty if no metric is worse."""
-    if (place := found.worst_place) is None:
-        return ""
-    metric = next(verdict.metric for verdict in found.named("worse") if verdict.place is place)
-    return f"worst frame: {metric.label}, {where(metric, place)}"
-
-
-def _differences(groups: Sequence[CauseGroup]) -> TextTable:
-    """A row for the leading metric of each group, with its first finding of that mark, the mean if possible."""
-    rows = tuple(map(_difference, groups[:_DIFFERENCES_SHOWN]))
-    headers = ("base", "new", "change", f"{LEVEL:.0%} interval", "mark")
-    more = any(len(group.verdicts) > 1 for group in groups)
-    notes = ["(+N): N more metrics of the same cause"] if more else []
-    notes += [f"{len(groups) - len(rows)} more causes differ"] if len(groups) > len(rows) else []
-    return TextTable("Difference", headers, rows, ("; ".join(notes),) if notes else (), label_columns=15)
-
-
-def _difference(group: CauseGroup) -> TextRow:
-    verdict, others = group.verdicts[0], len(group.verdicts) - 1
-    marked = [finding for finding in verdict.findings if finding.mark == verdict.mark]
-    found = next(iter(marked), verdict.findings[0])
-    scale, unit = shown_unit(found.metric, found.statistic)
-    base, new = found.base * scale, found.new * scale
-    interval = f"{found.interval.low * scale:+.3g} to {found.interval.high * scale:+.3g}" if found.interval else ""
-    statistic = "" if found.statistic == "mean" else f", {found.statistic}"
-    name = f"{found.metric.label}{statistic}{f',{unit}' if unit else ''}{f' (+{others})' if others else ''}"
-    return row(name, f"{base:.4g}", f"{new:.4g}", f"{new - base:+.3g}", interval, found.mark)
-
-
-def _values(found: Comparison) -> dict[str, Any]:
-    changed = [verdict for mark in _MARKS for verdict in found.named(mark)]
-    return {v.metric.name: {"base": v.base, "new": v.new, **vars(v.interval), "mark": v.mark} for v in changed}

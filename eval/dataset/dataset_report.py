@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +16,6 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..configurations import Settings, rows_that_differ
 from ..findings import findings_of_dataset
 from ..frame_commands import view_dataset_command
 from ..full_tables import LISTED, full_tables
@@ -28,21 +26,20 @@ from ..short_report import Report, of_summaries, with_findings
 from ..slices import object_slices, of_objects
 from ..stages import judged_stages, rows_tables, stage_figures, with_unit
 from ..summaries import Summary
-from .groups import GroupedFrames, group_frames, summaries_of
-from .keys import DEFAULT, LOG, in_order_of_runs, log_names, settings_by_config
+from .groups import GroupedFrames
+from .keys import LOG
 from .place import (
     DATE,
     DONE,
     NO_TABLES,
     RUN_COLUMNS,
     Dataset,
-    metrics_files,
-    read_runs,
     scan_objects,
     scan_tables,
     without_file,
 )
 from .reading import FRAMES, SPAN_NS
+from .summed import SummedDataset
 from .worst import LogKey, Row, key_of, worst_logs
 
 FAILED_LISTED: Final = 20
@@ -74,19 +71,6 @@ def _statuses(runs: pl.DataFrame, most: int) -> Iterator[str]:
         yield f"  {status}{where}: {path}: {(error or 'no reason given').removeprefix(f'{path}: ')}"
     if logs.height > most:
         yield f"  and {logs.height - most} more, in runs.parquet"
-
-
-def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
-    """The settings and options that differ between configurations.
-
-    ``known`` has the non-default settings of each configuration; None if unknown.
-    """
-    keys = dict.fromkeys(key for settings in known.values() for key in settings or ())
-    whole = {
-        config: None if settings is None else {key: settings.get(key, DEFAULT) for key in keys}
-        for config, settings in known.items()
-    }
-    return TextTable("Settings that differ", ("",), rows_that_differ(whole), (), tuple(known))
 
 
 def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tuple[str, ...]) -> TextTable:
@@ -179,7 +163,7 @@ def _count(rows: pl.DataFrame) -> str:
 
 
 class DatasetReport:
-    """The report on a dataset: by group, and its worst logs."""
+    """The report on a dataset: by group, and its worst logs; it raises the same errors as ``RunReport``."""
 
     def __init__(self, dataset: Dataset, options: ReportOptions, console: Console) -> None:
         """Read the list of runs.
@@ -188,7 +172,8 @@ class DatasetReport:
             TableError: there are no tables; then the failed logs are printed.
         """
         self._dataset, self._options, self._width = dataset, options, console.width
-        self._runs, self._files = read_runs(dataset), metrics_files(dataset)
+        self._summed = SummedDataset(dataset, options.by)
+        self._runs, self._files = self._summed.runs, self._summed.files
         self._findings = findings_of_dataset(self._runs)
         if not self._files:
             if not self._runs.height:
@@ -197,21 +182,13 @@ class DatasetReport:
             raise TableError(f"{dataset.address}: no tables in metrics/date=.../; no log of the batch has frames")
 
     def write_page(self, path: Path) -> None:
-        """Write the page.
-
-        Raises:
-            RoadpercError: a table cannot be read, or the page cannot be written.
-        """
+        """Write the page."""
         from ..html.dataset_page import write_dataset_page  # noqa: PLC0415 - only the page needs plotly
 
         write_dataset_page(path, self._dataset)
 
     def short(self) -> Report:
-        """The stages of one group, or a row for each; then the worst log by each stage's error; or slices of objects.
-
-        Raises:
-            TableError: a table cannot be read, or a column does not exist.
-        """
+        """The stages of one group, or a row for each; then the worst log by each error; or slices of objects."""
         by = self._options.by
         if self._by_objects:
             found = object_slices(scan_objects(self._dataset, self._runs), by, self._dataset.address)
@@ -220,15 +197,11 @@ class DatasetReport:
         return with_findings(found, self._findings)
 
     def full(self) -> Report:
-        """All tables.
-
-        Raises:
-            TableError: a table cannot be read, or a column does not exist.
-        """
+        """All tables."""
         if self._by_objects:
             return self.short()
         worst, paths = self._worst_logs()
-        parts = (self._settings, *self._groups(), *worst)
+        parts = (self._summed.settings, *self._groups(), *worst)
         found = Report("Report", self._head(FAILED_LISTED), parts, ("", *paths))
         return with_findings(found, self._findings)
 
@@ -237,40 +210,20 @@ class DatasetReport:
         by = self._options.by
         return bool(by) and of_objects(by, (*scan_tables(self._files).collect_schema(), *RUN_COLUMNS, DATE))
 
-    @cached_property
-    def _found(self) -> GroupedFrames:
-        return group_frames(self._files, self._runs, self._options.by)
-
-    @cached_property
-    def _configs(self) -> list[str]:
-        return in_order_of_runs(self._found.logs["config"].unique(maintain_order=True).to_list(), self._runs)
-
-    @cached_property
-    def _names(self) -> dict[str, str]:
-        return log_names(self._found.logs["log_id"].unique(maintain_order=True), self._runs)
-
-    @cached_property
-    def _summaries(self) -> list[Summary]:
-        return summaries_of(self._found, self._names, self._configs)
-
-    @property
-    def _settings(self) -> TextTable:
-        return settings_that_differ(settings_by_config(self._runs, self._configs))
-
     def _head(self, failed: int) -> tuple[str, ...]:
-        logs = self._found.logs
+        logs = self._summed.logs
         return (_contents(self._dataset, logs), *_statuses(self._runs, failed), *not_listed(self._runs, logs))
 
     def _of_groups(self) -> Report:
-        summaries, logs = self._summaries, self._found.logs
-        short = _short([summary.name for summary in summaries], self._found.by.columns, _NAME_COLUMNS)
+        summaries, logs = self._summed.summaries, self._summed.logs
+        short = _short([summary.name for summary in summaries], self._summed.groups.by.columns, _NAME_COLUMNS)
         found = of_summaries("Report", "groups", summaries, lambda _: "")
         several = logs["config"].n_unique() > 1
         columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, judged_stages(summaries))}
         worst = [(q, rows[0]) for q, rows in worst_logs(logs, 1)[0].items() if q.column in columns]
         lines, values = [], []
         for quantity, item in sorted(worst, key=lambda pair: -pair[1]["mean"] / (pair[0].limit or math.inf))[:_FEW]:
-            config, at, log = item["config"], item["at"][0], self._names[item["log_id"]]
+            config, at, log = item["config"], item["at"][0], self._summed.names[item["log_id"]]
             command = view_dataset_command(self._dataset.address, log, at["frame"], config if several else "")
             values.append({"column": quantity.column, "log": log, "config": config, **at, "command": command})
             lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
@@ -280,16 +233,17 @@ class DatasetReport:
         return replace(
             found,
             head=(*self._head(_FEW), *found.head),
-            parts=(self._settings, *tables),
+            parts=(self._summed.settings, *tables),
             tail=(*legend(short), *lines, *found.tail, *note, _MORE),
             values={**found.values, "worst_logs": values},
         )
 
     def _groups(self) -> Iterator[str | TextTable]:
-        names = _short([s.name for s in self._summaries], self._found.by.columns, self._width - _NUMBER_COLUMNS)
-        renamed = [replace(summary, name=names[summary.name]) for summary in self._summaries]
-        if self._found.by.columns:
-            yield groups_table(renamed, self._found, tuple(legend(names)))
+        summaries, by = self._summed.summaries, self._summed.groups.by.columns
+        names = _short([summary.name for summary in summaries], by, self._width - _NUMBER_COLUMNS)
+        renamed = [replace(summary, name=names[summary.name]) for summary in summaries]
+        if by:
+            yield groups_table(renamed, self._summed.groups, tuple(legend(names)))
         else:
             yield inputs(renamed[0])
         if any(summary.rank_error for summary in renamed):
@@ -300,7 +254,7 @@ class DatasetReport:
 
     def _worst_logs(self) -> tuple[tuple[TextTable, TextTable], Iterator[str]]:
         """The tables of the worst logs, and the paths of these logs."""
-        logs, names = self._found.logs, self._names
+        logs, names = self._summed.logs, self._summed.names
         by_quantity, by_coverage = worst_logs(logs, self._options.worst)
         keys = [key_of(item) for ranking in (by_quantity, by_coverage) for rows in ranking.values() for item in rows]
         several = logs["config"].n_unique() > 1

@@ -1,6 +1,7 @@
 """``roadperc-compare``: compare a new run with a base run, by metrics and fields."""
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from roadperc_stream.system.process import EXIT_UNDECIDED
 
 if TYPE_CHECKING:
     from roadperc_stream.eval.compare import CompareOptions
+    from roadperc_stream.eval.options import Amount
 
 _EXAMPLE = """\
 example:
@@ -119,8 +121,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_rules(parser: argparse.ArgumentParser) -> None:
-    from roadperc_stream.eval.options import allowance, tolerance
-
     allowed = (
         "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of the base's mean; "
     )
@@ -130,3 +130,35 @@ def _add_rules(parser: argparse.ArgumentParser) -> None:
         ("--allow", "[METRIC=]VALUE", allowance, f"{allowed}N%% alone applies to all metrics except times"),
     ):
         parser.add_argument(option, metavar=metavar, type=kind, action="append", default=[], help=text)
+
+
+def tolerance(text: str) -> "Amount":
+    """Parse ``FIELD=VALUE``."""
+    from roadperc_stream.eval.options import Amount
+
+    pattern, separator, number = text.rpartition("=")
+    if not separator or not pattern:
+        raise argparse.ArgumentTypeError(f"{text}: expected FIELD=VALUE, such as lane_left_offset_m=0.001")
+    return Amount(pattern, _positive(text, number))
+
+
+def allowance(text: str) -> "Amount":
+    """Parse ``METRIC=VALUE``, ``METRIC=N%`` or ``N%``."""
+    from roadperc_stream.eval.options import EVERYTHING, Amount
+
+    pattern, _, number = text.rpartition("=")
+    if number.endswith("%"):
+        return Amount(pattern or EVERYTHING, _positive(text, number[:-1]) / 100, relative=True)
+    if not pattern:
+        raise argparse.ArgumentTypeError(f"{text}: expected METRIC=VALUE, METRIC=N% or N%")
+    return Amount(pattern, _positive(text, number))
+
+
+def _positive(text: str, number: str) -> float:
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: {number!r} is not a number") from error
+    if not math.isfinite(value) or value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number of 0 or more")
+    return value

@@ -18,6 +18,7 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import real_path
 
 if TYPE_CHECKING:
+    from roadperc_stream.eval.options import Varied
     from roadperc_stream.eval.sweep import SweepOptions
 
 _EXAMPLE = """\
@@ -73,7 +74,6 @@ def _options(arguments: argparse.Namespace) -> "SweepOptions":
 
 
 def _parser() -> argparse.ArgumentParser:
-    from roadperc_stream.eval.options import varied
     from roadperc_stream.tools.corruptions.levels import LEVELS, swept
 
     parser = command_parser(
@@ -120,3 +120,20 @@ def _parser() -> argparse.ArgumentParser:
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files()), (baseline, files())):
         completed_by(action, completer)
     return parser
+
+
+def varied(text: str) -> "Varied":
+    """Parse an argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
+
+    Raises:
+        ArgumentTypeError: it has another form, or gives a value twice.
+    """
+    from roadperc_stream.eval.options import Varied, number_or_text
+
+    key, _, values = text.partition("=")
+    texts = tuple(value.strip() for value in values.split(","))
+    if not key.strip() or not all(texts):
+        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
+    if len({number_or_text(value) for value in texts}) < len(texts):
+        raise argparse.ArgumentTypeError(f"{text}: contains a value twice")
+    return Varied(key.strip(), texts)

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadperc_stream.cli.sweep import varied
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.options import varied
 from roadperc_stream.eval.sweep import best_settings, effects, without_effect
 from roadperc_stream.eval.sweeping.ranking import METRICS, SettingScore, best, effect, scores
 from roadperc_stream.eval.sweeping.settings import Combination, combinations, passes, reference_of
