@@ -30,7 +30,7 @@ from roadperc_stream.system.text import number
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
 
-from .quantities import listed
+from .report_columns import listed
 from .runs import Run, collect
 from .scan import rows_of
 

@@ -20,7 +20,7 @@ from . import lane_files
 from .culane_lists import read_list
 from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes, image_name
 from .options import LanePairing
-from .quantities import listed, percent
+from .report_columns import listed, percent
 from .scores import Score
 
 NAMED: Final = 10

@@ -7,7 +7,7 @@ from typing import Final
 
 import polars as pl
 
-from .quantities import COUNTED, TRACED
+from .report_columns import COUNTED, TRACED
 from .scan import before
 
 _FARTHEST: Final = 6

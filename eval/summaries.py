@@ -21,7 +21,7 @@ from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
 from .dataset.keys import LOG
-from .quantities import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, TRACED, Quantity
+from .report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, TRACED, Quantity
 from .runs import Run, collect
 from .scan import extent, scan, worst_frames
 from .scores import Score, averaged, lag_frames, scores, traces

@@ -11,7 +11,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.system.time import NS_PER_S
 
 from ..expressions import as_key, key_name
-from ..quantities import COUNTS, NUMBERS, TEXTS
+from ..report_columns import COUNTS, NUMBERS, TEXTS
 from ..summaries import EXACT_FRAMES, POINTS, Figures, Summary
 from .keys import LOG, Grouping, Key, group_name, grouping, in_order
 from .place import DONE, RUN_COLUMNS, scan_tables, without_file

@@ -10,14 +10,14 @@ from roadperc_stream.output.text_table import TextTable, by_header, row
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
 
-from ..comparison.verdicts import Mark
+from ..compare.verdicts import Mark
 from ..dataset.pairs import in_a_folder, runs_of_logs
 from ..dataset.place import DONE, Dataset
 from ..dataset.summed import SummedDataset
 from ..dataset.worst import LogKey, key_of, worst_logs
 from ..findings import findings_of_dataset, report_lines
-from ..quantities import Quantity
-from ..stages import stages_of
+from ..report.stages import stages_of
+from ..report_columns import Quantity
 from .page import rendered, write_page
 from .pictures import shown
 from .verdict import single_sentence, size

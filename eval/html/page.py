@@ -18,15 +18,15 @@ from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
-from ..comparison.comparing import Comparison
+from ..compare.comparing import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
-from ..full_tables import full_tables
-from ..quantities import listed, percent
-from ..run_report import in_segments
+from ..report.full_tables import full_tables
+from ..report.run_report import in_segments
+from ..report.stages import stages_of
+from ..report_columns import listed, percent
 from ..runs import Run
-from ..stages import stages_of
 from ..summaries import Summary, WorstFrame, summarise_group
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series

@@ -27,7 +27,7 @@ exit codes:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-bisect``: write the excerpt, and print the commands that show the failure."""
     arguments = parse(_parser(), argv)
-    from roadperc_stream.eval.bisect import BisectOptions, bisect
+    from roadperc_stream.eval.bisect.bisect import BisectOptions, bisect
 
     options = BisectOptions(
         arguments.log,

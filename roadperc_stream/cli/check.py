@@ -37,7 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_one_task(parser, arguments)
-    from roadperc_stream.eval.check import check, init_criteria
+    from roadperc_stream.eval.check.check import check, init_criteria
     from roadperc_stream.eval.criteria import DEFAULT_CRITERIA
 
     runs, path, criteria = arguments.runs, arguments.init, arguments.criteria or DEFAULT_CRITERIA

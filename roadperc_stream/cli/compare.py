@@ -11,7 +11,7 @@ from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
 
 if TYPE_CHECKING:
-    from roadperc_stream.eval.compare import CompareOptions
+    from roadperc_stream.eval.compare.compare import CompareOptions
     from roadperc_stream.eval.options import Amount
 
 _EXAMPLE = """\
@@ -46,14 +46,14 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_two(parser, arguments)
-    from roadperc_stream.eval.compare import compare
+    from roadperc_stream.eval.compare.compare import compare
 
     sides, options = (arguments.base, arguments.new), _options(arguments)
     return run(lambda: compare(*sides, options, result_files_of(arguments)), EXIT_UNDECIDED)
 
 
 def _options(arguments: argparse.Namespace) -> "CompareOptions":
-    from roadperc_stream.eval.compare import CompareOptions
+    from roadperc_stream.eval.compare.compare import CompareOptions
     from roadperc_stream.eval.options import Rules
 
     amounts = tuple(arguments.tolerance), tuple(arguments.allow)

@@ -29,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     from roadperc_stream.eval.dataset.place import dataset_at
     from roadperc_stream.eval.options import ReportOptions
-    from roadperc_stream.eval.report import report
+    from roadperc_stream.eval.report.report import report
 
     if len(arguments.runs) > 1 and any(map(dataset_at, arguments.runs)):
         parser.error("expected one OUT_DIR of a batch without any other RUN")

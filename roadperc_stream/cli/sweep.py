@@ -19,7 +19,7 @@ from roadperc_stream.system.files import real_path
 
 if TYPE_CHECKING:
     from roadperc_stream.eval.options import Varied
-    from roadperc_stream.eval.sweep import SweepOptions
+    from roadperc_stream.eval.sweep.sweep import SweepOptions
 
 _EXAMPLE = """\
 example:
@@ -50,13 +50,13 @@ def main(argv: list[str] | None = None) -> int:
     for path in arguments.logs:
         if logs.count(real_path(path)) > 1:
             parser.error(f"argument IN.mcap: {path} is given twice")
-    from roadperc_stream.eval.sweep import sweep
+    from roadperc_stream.eval.sweep.sweep import sweep
 
     return run(lambda: sweep(arguments.logs, _options(arguments), result_files_of(arguments)))
 
 
 def _options(arguments: argparse.Namespace) -> "SweepOptions":
-    from roadperc_stream.eval.sweep import SweepOptions
+    from roadperc_stream.eval.sweep.sweep import SweepOptions
 
     return SweepOptions(
         arguments.out,

@@ -43,9 +43,9 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if arguments.delta_unit == "frames" and arguments.delta != int(arguments.delta):
         parser.error(f"argument --delta: {arguments.delta:g}: expected whole frames, or --delta-unit metres")
-    from roadperc_stream.eval.trajectories.errors import Delta
-    from roadperc_stream.eval.trajectories.poses import PoseFormat
-    from roadperc_stream.eval.trajectory import trajectories
+    from roadperc_stream.eval.trajectory.errors import Delta
+    from roadperc_stream.eval.trajectory.poses import PoseFormat
+    from roadperc_stream.eval.trajectory.trajectory import trajectories
 
     delta = Delta(arguments.delta, arguments.delta_unit)
     folders: dict[PoseFormat, Path | None] = {"tum": arguments.export_tum, "kitti": arguments.export_kitti}

@@ -16,7 +16,7 @@ import polars as pl
 from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
-from ..quantities import SIDES, TOTAL, TRUTH, Quantity
+from ..report_columns import SIDES, TOTAL, TRUTH, Quantity
 from ..runs import reading
 from ..scan import finite
 from .settings import Combination

@@ -25,9 +25,9 @@ from roadperc_stream.system.files import completing
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import NS_PER_S, TimeRange, ns_to_seconds
 
-from .criteria import read_criteria
-from .judging import Result, judge
-from .runs import open_run
+from ..check.judging import Result, judge
+from ..criteria import read_criteria
+from ..runs import open_run
 
 Window = tuple[int, int]
 """A part of a log by log time in nanoseconds: the start, and the end, which is not included."""

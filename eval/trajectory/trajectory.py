@@ -10,14 +10,14 @@ from roadperc_stream.output.terminal import console_for, print_lines, print_part
 from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.text import number
 
-from .continued import find_joined
-from .options import Alignment
-from .quantities import legend, listed, name_columns, percent, short_names
-from .result_files import Case, ResultFiles, write_files
-from .runs import Run
-from .trajectories.errors import Delta, ErrorStatistics
-from .trajectories.evaluation import Evaluation, Segments, evaluate
-from .trajectories.poses import PoseFormat, RunPoses, export, read_poses
+from ..continued import find_joined
+from ..options import Alignment
+from ..report_columns import legend, listed, name_columns, percent, short_names
+from ..result_files import Case, ResultFiles, write_files
+from ..runs import Run
+from .errors import Delta, ErrorStatistics
+from .evaluation import Evaluation, Segments, evaluate
+from .poses import PoseFormat, RunPoses, export, read_poses
 
 _ALIGNED: Final[Mapping[Alignment, str]] = {
     "se3": "aligned by SE(3)",

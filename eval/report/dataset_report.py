@@ -16,19 +16,9 @@ from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
-from ..findings import findings_of_dataset
-from ..frame_commands import view_dataset_command
-from ..full_tables import LISTED, full_tables
-from ..options import ReportOptions
-from ..quantities import Quantity, legend, listed, percent, rounded, short_names
-from ..run_report import inputs, precision
-from ..short_report import Report, of_summaries, with_findings
-from ..slices import object_slices, of_objects
-from ..stages import judged_stages, rows_tables, stage_figures, with_unit
-from ..summaries import Summary
-from .groups import GroupedFrames
-from .keys import LOG
-from .place import (
+from ..dataset.groups import GroupedFrames
+from ..dataset.keys import LOG
+from ..dataset.place import (
     DATE,
     DONE,
     NO_TABLES,
@@ -38,9 +28,19 @@ from .place import (
     scan_tables,
     without_file,
 )
-from .reading import FRAMES, SPAN_NS
-from .summed import SummedDataset
-from .worst import LogKey, Row, key_of, worst_logs
+from ..dataset.reading import FRAMES, SPAN_NS
+from ..dataset.summed import SummedDataset
+from ..dataset.worst import LogKey, Row, key_of, worst_logs
+from ..findings import findings_of_dataset
+from ..frame_commands import view_dataset_command
+from ..options import ReportOptions
+from ..report_columns import Quantity, legend, listed, percent, rounded, short_names
+from ..summaries import Summary
+from .by_expression import object_slices, of_objects
+from .full_tables import LISTED, full_tables
+from .run_report import inputs, precision
+from .short_report import Report, of_summaries, with_findings
+from .stages import judged_stages, rows_tables, stage_figures, with_unit
 
 FAILED_LISTED: Final = 20
 _FEW: Final = 3

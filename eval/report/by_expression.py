@@ -12,17 +12,17 @@ from roadperc_stream.schemas.columns import ObjectMetrics, columns_of
 from roadperc_stream.system.files import OBJECTS_SUFFIX
 from roadperc_stream.system.text import number
 
-from .configurations import short_digest
-from .dataset.groups import require_few
-from .dataset.keys import Key, group_name
-from .expressions import as_key, key_name, require_roots, roots
-from .frame_commands import view_command
-from .quantities import percent
-from .runs import Run, collect
-from .scan import objects_of, rows_of, scanned
+from ..configurations import short_digest
+from ..dataset.groups import require_few
+from ..dataset.keys import Key, group_name
+from ..expressions import as_key, key_name, require_roots, roots
+from ..frame_commands import view_command
+from ..report_columns import percent
+from ..runs import Run, collect
+from ..scan import objects_of, rows_of, scanned
+from ..summaries import EXACT_FRAMES, Figures, Summary
 from .short_report import Report, of_summaries
 from .stages import LISTED, rows_tables
-from .summaries import EXACT_FRAMES, Figures, Summary
 
 _LOG: Final = "log"
 _CLASS: Final = "class"

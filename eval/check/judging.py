@@ -13,14 +13,14 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics
 from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
 
-from .criteria import BY_NAME, Criterion
-from .expressions import on_empty_rows, parsed, similar
-from .findings import finding_lines, findings_of
-from .frame_commands import view_command
-from .quantities import percent
-from .result_files import Outcome
-from .runs import Run, reading, written_columns
-from .scan import SEGMENT, before, rows_of, scan
+from ..criteria import BY_NAME, Criterion
+from ..expressions import on_empty_rows, parsed, similar
+from ..findings import finding_lines, findings_of
+from ..frame_commands import view_command
+from ..report_columns import percent
+from ..result_files import Outcome
+from ..runs import Run, reading, written_columns
+from ..scan import SEGMENT, before, rows_of, scan
 
 _QUANTILES: Final = {"median": 0.5, "p1": 0.01, "p5": 0.05, "p95": 0.95, "p99": 0.99, "min": 0.0, "max": 1.0}
 _TRUTHS: Final = (

@@ -7,10 +7,10 @@ from rich.console import Console
 
 from roadperc_stream.output.terminal import console_for, print_lines
 
-from .dataset.dataset_report import DatasetReport
-from .dataset.place import dataset_at
-from .options import ReportOptions
-from .result_files import ResultFiles
+from ..dataset.place import dataset_at
+from ..options import ReportOptions
+from ..result_files import ResultFiles
+from .dataset_report import DatasetReport
 from .run_report import RunReport
 from .short_report import print_report, write_report
 

@@ -16,15 +16,15 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number
 
-from .continued import find_joined
-from .criteria import DEFAULT_CRITERIA, read_criteria
-from .dataset.pairs import all_runs, in_a_folder
-from .dataset.place import DONE, dataset_at, read_runs
+from ..continued import find_joined
+from ..criteria import DEFAULT_CRITERIA, read_criteria
+from ..dataset.pairs import all_runs, in_a_folder
+from ..dataset.place import DONE, dataset_at, read_runs
+from ..report_columns import listed
+from ..result_files import Case, Outcome, ResultFiles, write_files
+from ..runs import Run
 from .judging import Result, judge
-from .quantities import listed
 from .reference_criteria import write_criteria
-from .result_files import Case, Outcome, ResultFiles, write_files
-from .runs import Run
 
 _LISTED: Final = 5
 """Failed criteria with a line for the worst frame; the others are named."""

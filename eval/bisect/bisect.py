@@ -20,12 +20,12 @@ from roadperc_stream.system.files import not_a_log, scratch_folder
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 
-from .bisect_replays import ExcerptReplays, ReplayVerdict, Window, first_ns
-from .criteria import Criterion, hint
+from ..check.judging import Result, WorstPlace
+from ..criteria import Criterion, hint
+from ..runs import open_run
+from ..sweep.settings import setting_of
 from .delta_debugging import ddmin
-from .judging import Result, WorstPlace
-from .runs import open_run
-from .sweeping.settings import setting_of
+from .excerpt_replays import ExcerptReplays, ReplayVerdict, Window, first_ns
 
 _FIRST_REACH_S: Final = 1.0
 """The first excerpt begins this long before the worst frame of the whole log."""

@@ -9,7 +9,7 @@ from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
 from ..frame_commands import view_pair_command
-from ..quantities import QUALITY, SEEN, listed
+from ..report_columns import QUALITY, SEEN, listed
 from .agreement import Agreements, Value
 from .comparing import Comparison
 from .metrics import Metric

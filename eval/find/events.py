@@ -12,10 +12,10 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds, seconds_to_ns
 
-from .dataset.keys import LOG
-from .dataset.reading import reading_files
-from .expressions import on_empty_rows, parsed, similar
-from .scan import SEGMENT
+from ..dataset.keys import LOG
+from ..dataset.reading import reading_files
+from ..expressions import on_empty_rows, parsed, similar
+from ..scan import SEGMENT
 
 OBJECTS: Final = "objects."
 """Prefix of the columns of objects in a condition."""

@@ -15,7 +15,7 @@ from roadperc_stream.output.text_table import TextTable, row
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.files import METRICS_SUFFIX
 
-from ..quantities import percent
+from ..report_columns import percent
 from .ranking import SettingScore, SweepMetric, scores
 from .settings import MARK, Combination
 

@@ -9,16 +9,17 @@ from rich.console import Console
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextTable
 
-from .comparison.comparing import compare_runs
-from .comparison.pairing import pair_runs
-from .comparison.summary import summary as verdict_lines
-from .comparison.verdicts import Mark
-from .findings import Found, finding_counts, report_lines
-from .frame_commands import view_command
-from .options import Rules
-from .quantities import TRUTH
-from .result_files import Case, ResultFiles, write_files
-from .runs import Run
+from ..compare.comparing import compare_runs
+from ..compare.pairing import pair_runs
+from ..compare.summary import summary as verdict_lines
+from ..compare.verdicts import Mark
+from ..findings import Found, finding_counts, report_lines
+from ..frame_commands import view_command
+from ..options import Rules
+from ..report_columns import TRUTH
+from ..result_files import Case, ResultFiles, write_files
+from ..runs import Run
+from ..summaries import Summary
 from .stages import (
     NO_TRUTH,
     Command,
@@ -32,7 +33,6 @@ from .stages import (
     worst_line,
     worst_of,
 )
-from .summaries import Summary
 
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
 

@@ -10,11 +10,11 @@ from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.text import number
 
-from .comparison.metrics import COVERAGE_RELEVANT, METRICS, Metric
-from .criteria import Criterion
+from ..compare.metrics import COVERAGE_RELEVANT, METRICS, Metric
+from ..criteria import Criterion
+from ..report_columns import listed, percent
+from ..runs import Run
 from .judging import Result, judge
-from .quantities import listed, percent
-from .runs import Run
 
 _MARGIN: Final = 0.2
 _DIGITS: Final = 3

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from ..html.figures import colour_of, escaped
-from ..quantities import rounded
+from ..report_columns import rounded
 from .ranking import SettingScore
 from .robustness import Scored, names_of, of_corruption
 from .settings import Combination

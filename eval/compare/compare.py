@@ -13,18 +13,18 @@ from roadperc_stream.system.files import METRICS_SUFFIX, TABLE_SUFFIX, completin
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 
-from .comparison.agreement import same_except_times
-from .comparison.comparing import Comparison, compare_runs
-from .comparison.display import print_comparison
-from .comparison.pairing import Pairing, logged_runs, pair_runs
-from .comparison.results import write_results
-from .criteria import effects
-from .dataset.pairs import in_a_folder, runs_of_config, runs_of_configs
-from .dataset.place import Dataset, dataset_at
-from .options import Rules
-from .quantities import listed
-from .result_files import ResultFiles
-from .runs import Run
+from ..criteria import effects
+from ..dataset.pairs import in_a_folder, runs_of_config, runs_of_configs
+from ..dataset.place import Dataset, dataset_at
+from ..options import Rules
+from ..report_columns import listed
+from ..result_files import ResultFiles
+from ..runs import Run
+from .agreement import same_except_times
+from .comparing import Comparison, compare_runs
+from .display import print_comparison
+from .pairing import Pairing, logged_runs, pair_runs
+from .results import write_results
 
 Copy = tuple[Path, Path]
 """A table of the new run, and its place in the base."""

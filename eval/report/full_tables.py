@@ -11,9 +11,9 @@ from roadperc_stream.output.reason_counts import merged
 from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 
-from .comparison.bootstrap import LEVEL
-from .consistency import JUDGED, Consistency
-from .quantities import (
+from ..compare.bootstrap import LEVEL
+from ..consistency import JUDGED, Consistency
+from ..report_columns import (
     CATEGORIES,
     CONFUSED,
     COUNTED,
@@ -28,8 +28,8 @@ from .quantities import (
     ranked,
     rounded,
 )
-from .statistics import Statistics
-from .summaries import BETWEEN, Summary, WorstFrame
+from ..statistics import Statistics
+from ..summaries import BETWEEN, Summary, WorstFrame
 
 _SIGMAS: Final = tuple(f"{limit}\N{GREEK SMALL LETTER SIGMA} %" for limit in ("1", "2", ">3"))
 _LARGE: Final = 100

@@ -12,19 +12,19 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.system.text import number
 
-from .configurations import UNKNOWN, grouped, settings_table, short_digest
-from .continued import find_joined
-from .findings import findings_of
-from .frame_commands import view_command
+from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..continued import find_joined
+from ..findings import findings_of
+from ..frame_commands import view_command
+from ..options import ReportOptions
+from ..report_columns import SKEW, legend, listed, name_columns, percent, short_names
+from ..runs import Run
+from ..summaries import Summary, summarise_group, summarise_run
+from ..trajectory.trajectory import in_short
+from .by_expression import slices_of_runs
 from .full_tables import LISTED, accuracy, full_tables, latency, missing_outputs, worst_frames
-from .options import ReportOptions
-from .quantities import SKEW, legend, listed, name_columns, percent, short_names
-from .runs import Run
 from .short_report import Report, of_pair, of_summaries, with_findings
-from .slices import slices_of_runs
 from .stages import RUNS_SHOWN, rows_tables
-from .summaries import Summary, summarise_group, summarise_run
-from .trajectory import in_short
 
 RUNS_LISTED: Final = 40
 """Most rows of the table of runs with ``--full``."""
@@ -51,7 +51,7 @@ class RunReport:
 
     def write_page(self, path: Path) -> None:
         """Write the page."""
-        from .html.page import write_page  # noqa: PLC0415 - only the page needs plotly
+        from ..html.page import write_page  # noqa: PLC0415 - only the page needs plotly
 
         write_page(path, self._runs)
 

@@ -9,9 +9,9 @@ from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
 
-from .quantities import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
-from .result_files import Case
-from .summaries import Summary, WorstFrame
+from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
+from ..result_files import Case
+from ..summaries import Summary, WorstFrame
 
 Command = Callable[[WorstFrame], str]
 """The command that shows a frame."""

@@ -16,14 +16,14 @@ from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import WHOLE, TimeRange
 
-from .options import Varied
-from .quantities import percent, rounded
-from .result_files import Case, ResultFiles, write_files
-from .sweeping import robustness
-from .sweeping.curves import curves
-from .sweeping.ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
-from .sweeping.settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
-from .sweeping.sweep_log import Job, sweep_logs
+from ..options import Varied
+from ..report_columns import percent, rounded
+from ..result_files import Case, ResultFiles, write_files
+from . import robustness
+from .curves import curves
+from .ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
+from .settings import Combination, combinations, dataset, describe, reference_of, shown, table_names
+from .sweep_log import Job, sweep_logs
 
 LEGEND: Final = (
     "scores: median of absolute values, for shares the mean; frames %: those with a value",

@@ -10,7 +10,7 @@ import polars as pl
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 
-from ..quantities import JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
+from ..report_columns import JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
 
 COVERAGE_RELEVANT: Final = 0.005
 TIME_RELEVANT: Final = 0.1
