@@ -21,11 +21,12 @@ from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
 from .dataset.keys import LOG
+from .lag import averaged, lag_frames, traces
+from .precision_recall import Score, scores
 from .report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, TRACED, Quantity
 from .runs import Run, collect
 from .scan import extent, scan, worst_frames
-from .scores import Score, averaged, lag_frames, scores, traces
-from .statistics import ColumnPools, Distribution, Moments, Statistics, exactly, moments
+from .statistics import ColumnPools, Distribution, Moments, Statistics, exactly, moments, thinned
 
 EXACT_FRAMES: Final = 2**18
 """Rows up to which quantiles are exact: 8 bytes per row and column, 160 MB in total."""
@@ -127,7 +128,7 @@ class Figures:
     """
 
     def __init__(self, points: int = EXACT_FRAMES, worst: int = 0) -> None:
-        self.points, self._most = points, worst
+        self._most = worst
         self._parts: list[Summary] = []
         self._runs: dict[object, None] = {}
         self._columns = ColumnPools(points)
@@ -146,7 +147,8 @@ class Figures:
         self._parts.append(_part(found, rows.height, logs, run, whole=whole))
         names = [quantity.column for quantity in NUMBERS]
         mapped = threads.map if threads else map
-        columns = mapped(_distribution, (rows[name] for name in names))
+        distribution = partial(_distribution, points=self._columns.points)
+        columns = mapped(distribution, (rows[name] for name in names))
         for name, column in zip(names, columns, strict=True):
             if column is not None:
                 self._columns.add(name, *column)
@@ -274,10 +276,10 @@ def _worst_of(parts: Iterable[Summary], quantity: Quantity, number: int) -> tupl
     return tuple(sorted(frames, key=lambda frame: frame.value if high else -abs(frame.value))[:number])
 
 
-def _distribution(column: pl.Series) -> tuple[Moments, Distribution] | None:
-    """Moments and distribution of values; None without values."""
+def _distribution(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None:
+    """Moments and distribution of values, which has at most ``points``; None without values."""
     values = np.sort(column.drop_nulls().to_numpy())
-    return (moments(values), exactly(values)) if len(values) else None
+    return (moments(values), thinned(exactly(values), points)) if len(values) else None
 
 
 @cache  # the same for all tables

@@ -1,13 +1,12 @@
-"""Scores of many frames: precision, recall and F1 of counted outputs, and the lag of an estimate."""
+"""The lag of an estimate behind its truth, in frames, from their correlations."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import polars as pl
 
-from .report_columns import COUNTED, TRACED
+from .report_columns import TRACED
 from .scan import before
 
 _FARTHEST: Final = 6
@@ -20,45 +19,6 @@ _DISTINCT: Final = 1.25
 _ROUNDING: Final = 1e-9
 _FEWEST: Final = 3
 """Fewest frames for a correlation; two columns of fewer frames always correlate."""
-
-
-@dataclass(frozen=True)
-class Score:
-    """Numbers of true positives, false positives and false negatives."""
-
-    name: str
-    tp: int
-    fp: int
-    fn: int
-
-    @property
-    def precision(self) -> float | None:
-        """Share of the positives that are true; None without positives."""
-        return _share(self.tp, self.tp + self.fp)
-
-    @property
-    def recall(self) -> float | None:
-        """Share of the truth that was found; None without truth."""
-        return _share(self.tp, self.tp + self.fn)
-
-    @property
-    def f1(self) -> float | None:
-        """Harmonic mean of precision and recall, CULane's ranking; None without truth and positives."""
-        return _share(2 * self.tp, 2 * self.tp + self.fp + self.fn)
-
-    def cells(self, decimals: int) -> tuple[str, ...]:
-        """Precision, recall and F1, empty if None, and the counts."""
-        ratios = ("" if ratio is None else f"{ratio:.{decimals}f}" for ratio in (self.precision, self.recall, self.f1))
-        return (*ratios, *map(str, (self.tp, self.fp, self.fn)))
-
-
-def scores(totals: Mapping[str, int]) -> list[Score]:
-    """Scores from the sums of the count columns over the frames; a score needs all three of its counts."""
-    return [
-        Score(name, *(totals[column] for column in columns))
-        for name, columns in COUNTED.items()
-        if all(column in totals for column in columns)
-    ]
 
 
 def correlations(estimate: str, truth: str) -> pl.Expr:
@@ -100,7 +60,3 @@ def averaged(parts: Iterable[tuple[int, Sequence[float | None]]]) -> tuple[float
     total = sum(frames for frames, _ in lagging)
     weighted = ([frames / total * (c or 0.0) for c in coefficients] for frames, coefficients in lagging)
     return tuple(map(sum, zip(*weighted, strict=True)))
-
-
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
