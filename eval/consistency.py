@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
 
-from .comparison.bootstrap import LEVEL, block_length
+from .compare.bootstrap import LEVEL, block_length
 from .runs import Run, collect
 from .scan import rows_of
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import pyarrow.parquet as pq
 
-from .quantities import listed
+from .report_columns import listed
 from .runs import Run, find_runs
 
 _LISTED: Final = 12

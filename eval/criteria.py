@@ -16,7 +16,7 @@ from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.system.text import in_brief, nearest
 
-from .comparison.metrics import METRICS
+from .compare.metrics import METRICS
 from .expressions import parsed
 
 Statistic = Literal["mean", "median", "p1", "p5", "p95", "p99", "min", "max", "share", "rate", "findings"]

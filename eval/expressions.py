@@ -13,7 +13,7 @@ import polars as pl
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.text import nearest
 
-from .quantities import listed
+from .report_columns import listed
 from .runs import first_line
 
 _ROWS: Final = 2

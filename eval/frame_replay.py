@@ -1,8 +1,6 @@
 """The log that shows a frame of a run; one that was not kept is replayed up to the frame, as it was recorded."""
 
-import argparse
 import math
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -32,7 +30,7 @@ from roadperc_stream.system.text import number
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
 
-from .quantities import listed
+from .report_columns import listed
 from .runs import Run, collect
 from .scan import rows_of
 
@@ -126,11 +124,11 @@ def replayed(
     if missing := [f"--set {setting}" for setting in named if setting not in changed]:
         raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
     cfg, own = own_stages(cfg)
-    source, options = _input(run, folder), _options(run)
-    time_range, warm_up_s = _time_range(row, part, options, log.summarise(source).first_ns or 0)
+    source, (overrides, recorded) = _input(run, folder), _options(run)
+    time_range, warm_up_s = _time_range(row, part, recorded, log.summarise(source).first_ns or 0)
     target = part.target or ReplayTarget(folder / "out.mcap")
     replay(
-        ReplaySource(source, parse_topic_options([*options.topic, *topics]), time_range, recover=True),
+        ReplaySource(source, overrides | parse_topic_options(topics), time_range, recover=True),
         target,
         cfg,
         ReplayOptions(warm_up_s=warm_up_s, threads=usable_cores(), own=own),
@@ -144,14 +142,12 @@ def replayed(
     return FrameToShow(target.path, again["frame"][0], (*far, *_differing(row, again.row(0, named=True))))
 
 
-def _time_range(
-    row: Mapping[str, Any], part: Part, options: argparse.Namespace, begin_ns: int
-) -> tuple[TimeRange, float]:
-    """The time range to replay, and the seconds of warm-up before it; the log begins at ``begin_ns``."""
+def _time_range(row: Mapping[str, Any], part: Part, recorded: TimeRange, begin_ns: int) -> tuple[TimeRange, float]:
+    """The part of the range to replay, and the seconds of warm-up before it; the log begins at ``begin_ns``."""
     first_s, last_s = (ns_to_seconds(ns - begin_ns) for ns in part.span_ns or (row["stamp_ns"],) * 2)
-    start_s, end_s = options.start or 0.0, min(last_s + AFTER_S, options.end or math.inf)
+    start_s, end_s = recorded.start_s or 0.0, min(last_s + AFTER_S, recorded.end_s or math.inf)
     if part.span_ns is None and first_s - start_s <= _FAR_S:
-        return TimeRange(options.start, end_s, row["frame"] + 1), 0.0
+        return TimeRange(recorded.start_s, end_s, row["frame"] + 1), 0.0
     return TimeRange(max(first_s - BEFORE_S, start_s), end_s), _WARM_UP_S
 
 
@@ -165,15 +161,15 @@ def _input(run: Run, folder: Path) -> Path:
     return Path(run.source)
 
 
-def _options(run: Run) -> argparse.Namespace:
-    """The options of a batch, as ``BatchConfiguration.options`` writes them."""
-    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
-    parser.add_argument("--topic", action="append", default=[])
-    for name in ("--start", "--end", "--frames"):
-        parser.add_argument(name, type=float)
+def _options(run: Run) -> tuple[dict[str, str], TimeRange]:
+    """The topics by role and the time range of a batch, from the text that ``BatchConfiguration.options`` writes."""
+    words = run.options.split()
+    pairs = list(zip(words[::2], words[1::2], strict=False))
+    numbers = dict(pairs)
     try:
-        return parser.parse_known_args(shlex.split(run.options))[0]
-    except (ValueError, argparse.ArgumentError) as error:
+        start_s, end_s = (float(numbers[name]) if name in numbers else None for name in ("--start", "--end"))
+        return parse_topic_options(value for name, value in pairs if name == "--topic"), TimeRange(start_s, end_s)
+    except (ValueError, ConfigError) as error:
         raise TableError(f"{run.path}: options {run.options!r}: {error}; replay the log again") from error
 
 

@@ -15,7 +15,7 @@ from .dataset.keys import LOG, config_named, log_names, settings_by_config
 from .dataset.pairs import in_a_folder, runs_of_logs
 from .dataset.place import DONE, Dataset, dataset_at, read_runs
 from .dataset.worst import LogKey
-from .quantities import listed
+from .report_columns import listed
 from .runs import Run, collect, find_runs
 from .scan import rows_of
 

@@ -20,8 +20,8 @@ from . import lane_files
 from .culane_lists import read_list
 from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes, image_name
 from .options import LanePairing
-from .quantities import listed, percent
-from .scores import Score
+from .precision_recall import Score
+from .report_columns import listed, percent
 
 NAMED: Final = 10
 """Missing frames that are listed by name."""

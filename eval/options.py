@@ -1,10 +1,9 @@
-"""Command-line values of the evaluation: choices, rules for fields and metrics, settings to vary."""
+"""Options of the evaluation: choices, rules for fields and metrics, settings to vary."""
 
-import argparse
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Final, Literal
 
 from roadperc_stream.errors import RoadpercError
@@ -16,6 +15,16 @@ LanePairing = Literal["stamp", "order"]
 """How frames of the true lanes are paired with frames of the run."""
 WORST_FRAMES: Final = 3
 EVERYTHING = "*"
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """What a report shows: slices ``by`` columns or SQL expressions, all tables, the ``worst`` frames, and a page."""
+
+    by: Sequence[str] = ()
+    full: bool = False
+    worst: int = WORST_FRAMES
+    html: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -76,34 +85,6 @@ class Rules:
             raise RoadpercError(f"{idle[0]}: matches no field and no metric of these runs; check the spelling")
 
 
-def tolerance(text: str) -> Amount:
-    """Parse ``FIELD=VALUE``."""
-    pattern, separator, number = text.rpartition("=")
-    if not separator or not pattern:
-        raise argparse.ArgumentTypeError(f"{text}: expected FIELD=VALUE, such as lane_left_offset_m=0.001")
-    return Amount(pattern, _positive(text, number))
-
-
-def allowance(text: str) -> Amount:
-    """Parse ``METRIC=VALUE``, ``METRIC=N%`` or ``N%``."""
-    pattern, _, number = text.rpartition("=")
-    if number.endswith("%"):
-        return Amount(pattern or EVERYTHING, _positive(text, number[:-1]) / 100, relative=True)
-    if not pattern:
-        raise argparse.ArgumentTypeError(f"{text}: expected METRIC=VALUE, METRIC=N% or N%")
-    return Amount(pattern, _positive(text, number))
-
-
-def _positive(text: str, number: str) -> float:
-    try:
-        value = float(number)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text}: {number!r} is not a number") from error
-    if not math.isfinite(value) or value < 0:
-        raise argparse.ArgumentTypeError(f"{text}: expected a number of 0 or more")
-    return value
-
-
 def _last(amounts: Sequence[Amount], name: str) -> Amount | None:
     return next((item for item in reversed(amounts) if fnmatchcase(name, item.pattern)), None)
 
@@ -114,21 +95,6 @@ class Varied:
 
     key: str
     texts: tuple[str, ...]
-
-
-def varied(text: str) -> Varied:
-    """Parse an argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
-
-    Raises:
-        ArgumentTypeError: it has another form, or gives a value twice.
-    """
-    key, _, values = text.partition("=")
-    texts = tuple(value.strip() for value in values.split(","))
-    if not key.strip() or not all(texts):
-        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
-    if len({number_or_text(value) for value in texts}) < len(texts):
-        raise argparse.ArgumentTypeError(f"{text}: contains a value twice")
-    return Varied(key.strip(), texts)
 
 
 def number_or_text(text: str) -> float | str:

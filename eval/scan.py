@@ -14,7 +14,7 @@ import polars as pl
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.time import NS_PER_S
 
-from .quantities import (
+from .report_columns import (
     COUNTS,
     LOST,
     MEASURED,

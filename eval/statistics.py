@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -111,6 +112,11 @@ class Sketch:
             level.clear()
         self._levels.append([thinned(part, self._points)])
 
+    def extend(self, other: "Sketch") -> None:
+        """Add the parts of another one."""
+        for part in chain.from_iterable(other._levels):
+            self.add(part)
+
     def limit(self, points: int) -> None:
         """Reduce the number of values per part, also in the parts added before."""
         if points < self._points:
@@ -201,6 +207,13 @@ class ColumnPools:
         found, sketch = self._columns.setdefault(column, ([], Sketch(self.points)))
         found.append(known)
         sketch.add(part)
+
+    def extend(self, other: "ColumnPools") -> None:
+        """Add the tables of another one."""
+        for column, (known, sketch) in other._columns.items():
+            found, own = self._columns.setdefault(column, ([], Sketch(self.points)))
+            found += known
+            own.extend(sketch)
 
     def limit(self, points: int) -> None:
         """Reduce the number of points per distribution."""

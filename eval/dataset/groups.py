@@ -3,20 +3,16 @@
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final
 
-import numpy as np
 import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.time import NS_PER_S
 
 from ..expressions import as_key, key_name
-from ..quantities import COUNTS, NUMBERS, TEXTS
-from ..scores import Tallies, tallied, tallied_together, tallies
-from ..statistics import ColumnPools, Distribution, Moments, exactly, moments, thinned
-from ..summary import EXACT_FRAMES, POINTS, Summary
+from ..report_columns import COUNTS, NUMBERS, TEXTS
+from ..summaries import EXACT_FRAMES, POINTS, Figures, Summary
 from .keys import LOG, Grouping, Key, group_name, grouping, in_order
 from .place import DONE, RUN_COLUMNS, scan_tables, without_file
 from .reading import FILES, GAP_NS, SEGMENTS, SPAN_NS, batches, ledger, logs_of, rows_of_tables
@@ -26,48 +22,7 @@ MOST_GROUPS: Final = 40
 """Most groups with statistics; if there are more groups of whole logs, only the worst ones have statistics."""
 _FEWEST_POINTS: Final = 256
 _AT_ONCE: Final = 2
-_COLUMNS: Final = tuple(quantity.column for quantity in NUMBERS)
-_POOLED: Final = (*LOG, "missing", "reasons", *TEXTS, *COUNTS, *_COLUMNS)
-
-
-class Pool:
-    """The pooled frames of a group: counts, sums, and distributions."""
-
-    def __init__(self, points: int) -> None:
-        self._frames = 0
-        self._logs: set[tuple[str, ...]] = set()
-        self._tallies: list[Tallies] = []
-        self.columns = ColumnPools(points)
-
-    def add(self, frames: pl.DataFrame, threads: Executor) -> None:
-        """Add frames, at least one."""
-        self._frames += frames.height
-        self._logs.update(frames.select(LOG).unique().iter_rows())
-        self._tallies.append(tallied(frames.select(tallies()).row(0, named=True)))
-        parts = threads.map(partial(_part, points=self.columns.points), (frames[name] for name in _COLUMNS))
-        for name, found in zip(_COLUMNS, parts, strict=True):
-            if found is not None:
-                self.columns.add(name, *found)
-
-    def summary(self, name: str) -> Summary:
-        """The summary of the group, without figures that need neighbouring frames or other tables."""
-        logs = sorted(self._logs)
-        return Summary(
-            **vars(tallied_together(self._tallies)),
-            name=name,
-            frames=self._frames,
-            runs=len(logs),
-            log_ids=tuple(dict.fromkeys(log_id for log_id, _ in logs)),
-            configs=tuple(dict.fromkeys(config for _, config in logs)),
-            versions=(),
-            statistics=self.columns.statistics(_COLUMNS),
-        )
-
-
-def _part(column: pl.Series, points: int) -> tuple[Moments, Distribution] | None:
-    """Moments and distribution of a batch's values; None without values."""
-    values = np.sort(column.drop_nulls().to_numpy())
-    return (moments(values), thinned(exactly(values), points)) if len(values) else None
+_POOLED: Final = (*LOG, "missing", "reasons", *TEXTS, *COUNTS, *(quantity.column for quantity in NUMBERS))
 
 
 def require_few(groups: int, by: Sequence[str]) -> None:
@@ -83,7 +38,7 @@ def require_few(groups: int, by: Sequence[str]) -> None:
         )
 
 
-def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, threads: Executor) -> bool:
+def _add_batch(pools: dict[Key, Figures], batch: pl.DataFrame, by: Grouping, threads: Executor) -> bool:
     """Add a batch with the columns of the keys; False if there are too many groups of whole logs.
 
     Raises:
@@ -98,7 +53,7 @@ def _add_batch(pools: dict[Key, Pool], batch: pl.DataFrame, by: Grouping, thread
         return False
     require_few(count, by.columns)
     for key, frames in groups.items():
-        pools.setdefault(key, Pool(EXACT_FRAMES)).add(frames, threads)
+        pools.setdefault(key, Figures(EXACT_FRAMES)).add(frames, threads=threads)
     return True
 
 
@@ -112,7 +67,7 @@ class GroupedFrames:
 
     logs: pl.DataFrame
     by: Grouping
-    pools: Mapping[Key, Pool]
+    pools: Mapping[Key, Figures]
     groups: int
 
 
@@ -160,13 +115,13 @@ def _grouped(files: Sequence[str], known: pl.DataFrame, by: Grouping) -> Grouped
 
 def _read(
     rows: pl.LazyFrame, files: Sequence[str], by: Grouping, run_keys: pl.DataFrame
-) -> tuple[pl.DataFrame, dict[Key, Pool] | None]:
+) -> tuple[pl.DataFrame, dict[Key, Figures] | None]:
     """The logs of metrics tables, and the groups by key; None if there are more than ``MOST_GROUPS``.
 
     ``run_keys`` has the columns ``LOG`` and the keys from the list of runs, a row for each log and configuration.
     """
     ledgers: list[pl.DataFrame] = []
-    pools: dict[Key, Pool] | None = {}
+    pools: dict[Key, Figures] | None = {}
     read = 0
     with ThreadPoolExecutor(_AT_ONCE) as threads:
         for batch in batches(rows, files):
@@ -179,7 +134,7 @@ def _read(
                 pools = None
             elif read > EXACT_FRAMES:
                 for pool in pools.values():
-                    pool.columns.limit(max(_FEWEST_POINTS, min(POINTS, POINTS * 8 // len(pools))))
+                    pool.limit(max(_FEWEST_POINTS, min(POINTS, POINTS * 8 // len(pools))))
     if not ledgers:
         raise TableError("no log to report: other logs have replaced all files, and these have no tables")
     return logs_of(ledgers), pools

@@ -13,7 +13,7 @@ import polars as pl
 from roadperc_stream.errors import TableError
 
 from ..expressions import as_key, key_name
-from ..quantities import COVERED, RANKED
+from ..report_columns import COVERED, RANKED
 from ..runs import first_line, reading, written_columns
 from ..scan import NUMBER_COLUMNS, SEGMENT, derived_columns, difference, finite, stored_columns
 from .keys import LOG, Grouping

@@ -10,7 +10,7 @@ import polars as pl
 
 from roadperc_stream.schemas.columns import RATIO
 
-from ..quantities import COVERED, RANKED, Quantity, ranked
+from ..report_columns import COVERED, RANKED, Quantity, ranked
 from ..runs import collect
 from ..scan import scanned, worst_frames
 from .keys import LOG

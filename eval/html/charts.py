@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.geometry import Float
 
-from ..quantities import TRUTH
-from ..sections import better
-from ..trajectories.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
+from ..report.full_tables import better
+from ..report_columns import TRUTH
+from ..trajectory.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
 from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers, thinned
 
 _SHARES: Final = np.linspace(0, 1, 201)

@@ -10,16 +10,14 @@ from roadperc_stream.output.text_table import TextTable, by_header, row
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
 
-from ..brief import stages_of
-from ..comparison.verdicts import Mark
-from ..dataset.groups import group_frames, summaries_of
-from ..dataset.keys import in_order_of_runs, log_names, settings_by_config
+from ..compare.verdicts import Mark
 from ..dataset.pairs import in_a_folder, runs_of_logs
-from ..dataset.place import DONE, Dataset, metrics_files, read_runs
-from ..dataset.report import settings_that_differ
+from ..dataset.place import DONE, Dataset
+from ..dataset.summed import SummedDataset
 from ..dataset.worst import LogKey, key_of, worst_logs
 from ..findings import findings_of_dataset, report_lines
-from ..quantities import Quantity
+from ..report.stages import stages_of
+from ..report_columns import Quantity
 from .page import rendered, write_page
 from .pictures import shown
 from .verdict import single_sentence, size
@@ -51,16 +49,13 @@ def write_dataset_page(target: Path, dataset: Dataset) -> None:
 
 
 def _write(target: Path, local: Dataset, address: str) -> None:
-    runs = read_runs(local)
-    found = group_frames(metrics_files(local), runs, [])
-    configs = in_order_of_runs(found.logs["config"].unique(maintain_order=True).to_list(), runs)
-    names = log_names(found.logs["log_id"].unique(maintain_order=True), runs)
-    summaries = summaries_of(found, names, configs)
+    found = SummedDataset(local, ())
+    runs, names, summaries = found.runs, found.names, found.summaries
     failed = runs.filter(pl.col("status") != DONE).sort("status", "path", "config")
     worst = worst_of(found.logs, PAGES)
     folder = target.with_name(f"{target.stem}_logs")
     folder.mkdir(parents=True, exist_ok=True)
-    several = len({*runs["config"], *configs}) > 1
+    several = len({*runs["config"], *found.configs}) > 1
     failed_links = _write_failed(folder, failed.head(PAGES), several)
     links = {}
     for place, (key, run) in enumerate(runs_of_logs(local, list(worst)[: PAGES - len(failed_links)], names).items(), 1):
@@ -72,9 +67,8 @@ def _write(target: Path, local: Dataset, address: str) -> None:
     for summary in summaries:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
-    settings = settings_that_differ(settings_by_config(runs, configs))
     lost, bad = _failed_table(failed, several), _worst_table(worst, names, several)
-    tables = [(stages_of(summaries), {}), (settings, {}), (lost, failed_links), (bad, links)]
+    tables = [(stages_of(summaries), {}), (found.settings, {}), (lost, failed_links), (bad, links)]
     _render(target, address, verdicts, tables)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from roadperc_stream.geometry import Float
 
-from ..quantities import REST, SIDES, STAGE_TIMES, TOTAL
+from ..report_columns import REST, SIDES, STAGE_TIMES, TOTAL
 from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned
 
 

@@ -18,16 +18,16 @@ from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
-from ..brief import stages_of
-from ..comparison.comparing import Comparison
+from ..compare.comparing import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
-from ..quantities import listed, percent
-from ..report import in_segments
+from ..report.full_tables import full_tables
+from ..report.run_report import in_segments
+from ..report.stages import stages_of
+from ..report_columns import listed, percent
 from ..runs import Run
-from ..sections import sections
-from ..summary import Summary, WorstFrame, summarise_group
+from ..summaries import Summary, WorstFrame, summarise_group
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall
@@ -115,7 +115,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         gallery=pictures,
         pictures=_pictures(pictures, {(f.run, f.frame) for f in (*lead.frames, *(item.frame for item in ranked))}),
         overview=[settings_table({run.name: run for run in drawn}), identity(summaries, drawn)],
-        tables=list(sections(summaries)),
+        tables=list(full_tables(summaries)),
         by_header=by_header,
         charts=charts,
     )

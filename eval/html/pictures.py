@@ -21,10 +21,10 @@ from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
 from ..frame_commands import view_command
-from ..quantities import Quantity, rounded
+from ..report_columns import Quantity, rounded
 from ..runs import Run, collect
 from ..scan import SEGMENT, rows_of, since_start_s
-from ..summary import WorstFrame
+from ..summaries import WorstFrame
 
 WORST: Final = 10
 """Worst frames on the page, over all runs."""

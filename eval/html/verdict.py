@@ -10,14 +10,14 @@ import numpy as np
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
-from ..comparison.comparing import Comparison, compare_runs
-from ..comparison.pairing import pair_runs
-from ..comparison.verdicts import Mark, Place, Verdict
+from ..compare.comparing import Comparison, compare_runs
+from ..compare.pairing import pair_runs
+from ..compare.verdicts import Mark, Place, Verdict
 from ..options import Rules
-from ..quantities import LOST, TRUTH, Quantity, listed
+from ..report.full_tables import ranked_by
+from ..report_columns import LOST, TRUTH, Quantity, listed
 from ..runs import Run
-from ..sections import ranked_by
-from ..summary import Summary, WorstFrame
+from ..summaries import Summary, WorstFrame
 
 BARS: Final = 9
 """Most bars of the verdict."""

@@ -13,6 +13,7 @@ from roadperc_stream.view.live import FASTEST, SLOWEST, PlaybackOptions
 
 if TYPE_CHECKING:
     from roadperc_stream.config import ReplayConfig
+    from roadperc_stream.eval.result_files import ResultFiles
     from roadperc_stream.system.time import TimeRange
 
 
@@ -114,7 +115,7 @@ def _stages(text: str) -> tuple[str, ...]:
     return names + tuple(needed for name in names for needed in NEEDS.get(name, ()))
 
 
-def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
+def add_result_file_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--json``, ``--markdown`` and ``--junit`` to a command of the evaluation."""
     group = parser.add_argument_group("results for other programs")
     for option, suffix, text in (
@@ -124,6 +125,13 @@ def add_machine_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         action = group.add_argument(option, metavar="FILE", type=Path, help=text)
         completed_by(action, files(suffix))
+
+
+def result_files_of(arguments: argparse.Namespace) -> "ResultFiles":
+    """The files that ``--json``, ``--markdown`` and ``--junit`` name."""
+    from roadperc_stream.eval.result_files import ResultFiles
+
+    return ResultFiles(arguments.json, arguments.markdown, arguments.junit)
 
 
 def time_range_of(arguments: argparse.Namespace) -> "TimeRange":

@@ -27,9 +27,20 @@ exit codes:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-bisect``: write the excerpt, and print the commands that show the failure."""
     arguments = parse(_parser(), argv)
-    from roadperc_stream.eval.bisect import bisect
+    from roadperc_stream.eval.bisect.bisect import BisectOptions, bisect
 
-    return run(lambda: bisect(arguments), EXIT_UNDECIDED)
+    options = BisectOptions(
+        arguments.log,
+        arguments.criteria,
+        arguments.out or Path(arguments.log.with_suffix(".bisect.mcap").name),
+        arguments.criterion,
+        arguments.config,
+        arguments.set,
+        arguments.base,
+        arguments.topic,
+        arguments.force,
+    )
+    return run(lambda: bisect(options), EXIT_UNDECIDED)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_machine_arguments
+from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
@@ -37,9 +37,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_one_task(parser, arguments)
-    from roadperc_stream.eval.check import check
+    from roadperc_stream.eval.check.check import check, init_criteria
+    from roadperc_stream.eval.criteria import DEFAULT_CRITERIA
 
-    return run(lambda: check(arguments), EXIT_UNDECIDED)
+    runs, path, criteria = arguments.runs, arguments.init, arguments.criteria or DEFAULT_CRITERIA
+    if path is not None:
+        return run(lambda: init_criteria(runs, path, force=arguments.force), EXIT_UNDECIDED)
+    return run(lambda: check(runs, criteria, result_files_of(arguments)), EXIT_UNDECIDED)
 
 
 def _require_one_task(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
@@ -73,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     init = add("--init", metavar="FILE.toml", type=Path, help="write criteria with the limits that these runs reach")
     add("--force", action="store_true", help="with --init: replace an existing file")
-    add_machine_arguments(parser)
+    add_result_file_arguments(parser)
     for action, completer in ((runs, files(*RUNS)), (criteria, files(".toml")), (init, files(".toml"))):
         completed_by(action, completer)
     return parser

@@ -1,12 +1,18 @@
 """``roadperc-compare``: compare a new run with a base run, by metrics and fields."""
 
 import argparse
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import add_machine_arguments
+from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, run
 from roadperc_stream.system.process import EXIT_UNDECIDED
+
+if TYPE_CHECKING:
+    from roadperc_stream.eval.compare.compare import CompareOptions
+    from roadperc_stream.eval.options import Amount
 
 _EXAMPLE = """\
 example:
@@ -40,9 +46,26 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     _require_two(parser, arguments)
-    from roadperc_stream.eval.compare import compare
+    from roadperc_stream.eval.compare.compare import compare
 
-    return run(lambda: compare(arguments), EXIT_UNDECIDED)
+    sides, options = (arguments.base, arguments.new), _options(arguments)
+    return run(lambda: compare(*sides, options, result_files_of(arguments)), EXIT_UNDECIDED)
+
+
+def _options(arguments: argparse.Namespace) -> "CompareOptions":
+    from roadperc_stream.eval.compare.compare import CompareOptions
+    from roadperc_stream.eval.options import Rules
+
+    amounts = tuple(arguments.tolerance), tuple(arguments.allow)
+    return CompareOptions(
+        (arguments.base_config, arguments.new_config),
+        Rules(tuple(arguments.ignore), *amounts, arguments.times),
+        arguments.criteria,
+        full=arguments.full,
+        exact=arguments.exact,
+        other_log=arguments.other_log,
+        update_reference=arguments.update_reference,
+    )
 
 
 def _require_two(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
@@ -91,15 +114,13 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="after the comparison replace the differing tables of BASE with those of NEW, and exit with 0",
     )
-    add_machine_arguments(parser)
+    add_result_file_arguments(parser)
     for action, completer in ((base, files(*RUNS)), (new, files(*RUNS)), (criteria, files(".toml"))):
         completed_by(action, completer)
     return parser
 
 
 def _add_rules(parser: argparse.ArgumentParser) -> None:
-    from roadperc_stream.eval.options import allowance, tolerance
-
     allowed = (
         "allowed deterioration of the metrics that match a glob: in the metric's unit, or N%% of the base's mean; "
     )
@@ -109,3 +130,35 @@ def _add_rules(parser: argparse.ArgumentParser) -> None:
         ("--allow", "[METRIC=]VALUE", allowance, f"{allowed}N%% alone applies to all metrics except times"),
     ):
         parser.add_argument(option, metavar=metavar, type=kind, action="append", default=[], help=text)
+
+
+def tolerance(text: str) -> "Amount":
+    """Parse ``FIELD=VALUE``."""
+    from roadperc_stream.eval.options import Amount
+
+    pattern, separator, number = text.rpartition("=")
+    if not separator or not pattern:
+        raise argparse.ArgumentTypeError(f"{text}: expected FIELD=VALUE, such as lane_left_offset_m=0.001")
+    return Amount(pattern, _positive(text, number))
+
+
+def allowance(text: str) -> "Amount":
+    """Parse ``METRIC=VALUE``, ``METRIC=N%`` or ``N%``."""
+    from roadperc_stream.eval.options import EVERYTHING, Amount
+
+    pattern, _, number = text.rpartition("=")
+    if number.endswith("%"):
+        return Amount(pattern or EVERYTHING, _positive(text, number[:-1]) / 100, relative=True)
+    if not pattern:
+        raise argparse.ArgumentTypeError(f"{text}: expected METRIC=VALUE, METRIC=N% or N%")
+    return Amount(pattern, _positive(text, number))
+
+
+def _positive(text: str, number: str) -> float:
+    try:
+        value = float(number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}: {number!r} is not a number") from error
+    if not math.isfinite(value) or value < 0:
+        raise argparse.ArgumentTypeError(f"{text}: expected a number of 0 or more")
+    return value

@@ -21,9 +21,12 @@ example:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-find``: print the events, with the command that shows each."""
     arguments = parse(_parser(), argv)
-    from roadperc_stream.eval.find import find
+    from roadperc_stream.eval.find.events import Clips
+    from roadperc_stream.eval.find.find import Query, find
 
-    return run(lambda: find(arguments))
+    query = Query(arguments.condition, arguments.peak or "", arguments.gap, arguments.min_seconds)
+    clips = Clips(arguments.clips, arguments.topic, arguments.set, arguments.force) if arguments.clips else None
+    return run(lambda: find(arguments.dataset, query, arguments.json, clips))
 
 
 def _parser() -> argparse.ArgumentParser:

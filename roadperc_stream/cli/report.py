@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_machine_arguments
+from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
 
@@ -28,17 +28,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     from roadperc_stream.eval.dataset.place import dataset_at
+    from roadperc_stream.eval.options import ReportOptions
+    from roadperc_stream.eval.report.report import report
 
-    datasets = [dataset for run_ in arguments.runs if (dataset := dataset_at(run_))]
-    if datasets:
-        if len(arguments.runs) > 1:
-            parser.error("expected one OUT_DIR of a batch without any other RUN")
-        from roadperc_stream.eval.dataset.report import print_dataset
-
-        return run(lambda: print_dataset(datasets[0], arguments))
-    from roadperc_stream.eval.report import print_report
-
-    return run(lambda: print_report(arguments))
+    if len(arguments.runs) > 1 and any(map(dataset_at, arguments.runs)):
+        parser.error("expected one OUT_DIR of a batch without any other RUN")
+    options = ReportOptions(arguments.by, arguments.full, arguments.worst, arguments.html)
+    return run(lambda: report(arguments.runs, options, result_files_of(arguments)))
 
 
 def _expressions(text: str) -> list[str]:
@@ -97,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
         help="also write one offline page with summary, charts, trajectory and pictures of the worst frames; "
         "an existing file is replaced",
     )
-    add_machine_arguments(parser)
+    add_result_file_arguments(parser)
     completed_by(runs, files(*RUNS))
     completed_by(html, files(".html"))
     return parser

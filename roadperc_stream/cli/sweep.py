@@ -3,11 +3,23 @@
 import argparse
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import SEED, add_input_arguments, add_machine_arguments
+from roadperc_stream.cli.arguments import (
+    SEED,
+    add_input_arguments,
+    add_result_file_arguments,
+    result_files_of,
+    time_range_of,
+)
 from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings, words
 from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
+from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import real_path
+
+if TYPE_CHECKING:
+    from roadperc_stream.eval.options import Varied
+    from roadperc_stream.eval.sweep.sweep import SweepOptions
 
 _EXAMPLE = """\
 example:
@@ -38,13 +50,30 @@ def main(argv: list[str] | None = None) -> int:
     for path in arguments.logs:
         if logs.count(real_path(path)) > 1:
             parser.error(f"argument IN.mcap: {path} is given twice")
-    from roadperc_stream.eval.sweep import sweep
+    from roadperc_stream.eval.sweep.sweep import sweep
 
-    return run(lambda: sweep(arguments))
+    return run(lambda: sweep(arguments.logs, _options(arguments), result_files_of(arguments)))
+
+
+def _options(arguments: argparse.Namespace) -> "SweepOptions":
+    from roadperc_stream.eval.sweep.sweep import SweepOptions
+
+    return SweepOptions(
+        arguments.out,
+        arguments.vary,
+        dict(arguments.degrade),
+        arguments.config,
+        arguments.set,
+        parse_topic_options(arguments.topic),
+        time_range_of(arguments),
+        arguments.seed,
+        arguments.baseline,
+        arguments.jobs,
+        arguments.force,
+    )
 
 
 def _parser() -> argparse.ArgumentParser:
-    from roadperc_stream.eval.options import varied
     from roadperc_stream.tools.corruptions.levels import LEVELS, swept
 
     parser = command_parser(
@@ -86,8 +115,25 @@ def _parser() -> argparse.ArgumentParser:
         help="replay N logs at a time (default: one per processor)",
     )
     parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
-    add_machine_arguments(parser)
+    add_result_file_arguments(parser)
     completed_by(degrade, words(f"{name}=" for name in LEVELS))
     for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files()), (baseline, files())):
         completed_by(action, completer)
     return parser
+
+
+def varied(text: str) -> "Varied":
+    """Parse an argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
+
+    Raises:
+        ArgumentTypeError: it has another form, or gives a value twice.
+    """
+    from roadperc_stream.eval.options import Varied, number_or_text
+
+    key, _, values = text.partition("=")
+    texts = tuple(value.strip() for value in values.split(","))
+    if not key.strip() or not all(texts):
+        raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
+    if len({number_or_text(value) for value in texts}) < len(texts):
+        raise argparse.ArgumentTypeError(f"{text}: contains a value twice")
+    return Varied(key.strip(), texts)

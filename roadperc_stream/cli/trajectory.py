@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from roadperc_stream.cli.arguments import add_machine_arguments
+from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
 from roadperc_stream.cli.completers import RUNS, completed_by, files
 from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, run
 
@@ -43,10 +43,15 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if arguments.delta_unit == "frames" and arguments.delta != int(arguments.delta):
         parser.error(f"argument --delta: {arguments.delta:g}: expected whole frames, or --delta-unit metres")
-    from roadperc_stream.eval.trajectories.errors import Delta
-    from roadperc_stream.eval.trajectory import trajectories
+    from roadperc_stream.eval.trajectory.errors import Delta
+    from roadperc_stream.eval.trajectory.poses import PoseFormat
+    from roadperc_stream.eval.trajectory.trajectory import trajectories
 
-    return run(lambda: trajectories(arguments, Delta(arguments.delta, arguments.delta_unit)))
+    delta = Delta(arguments.delta, arguments.delta_unit)
+    folders: dict[PoseFormat, Path | None] = {"tum": arguments.export_tum, "kitti": arguments.export_kitti}
+    exports = {kind: folder for kind, folder in folders.items() if folder}
+    how = arguments.align, delta, exports, result_files_of(arguments)
+    return run(lambda: trajectories(arguments.runs, *how))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -77,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="write KITTI files of the ego frame to this folder; existing files are replaced",
     )
-    add_machine_arguments(parser)
+    add_result_file_arguments(parser)
     for action, completer in ((runs, files(*RUNS)), (tum, files()), (kitti, files())):
         completed_by(action, completer)
     return parser

@@ -9,10 +9,10 @@ from polars.testing import assert_frame_equal
 
 from roadperc_stream.cli import bisect, check, replay
 from roadperc_stream.config import load_config
-from roadperc_stream.eval import bisect as searching
-from roadperc_stream.eval import bisect_replays
-from roadperc_stream.eval.bisect import changed_settings, needed_settings, shortest, with_settings
-from roadperc_stream.eval.bisect_replays import ReplayVerdict
+from roadperc_stream.eval.bisect import bisect as searching
+from roadperc_stream.eval.bisect import excerpt_replays as bisect_replays
+from roadperc_stream.eval.bisect.bisect import changed_settings, needed_settings, shortest, with_settings
+from roadperc_stream.eval.bisect.excerpt_replays import ReplayVerdict
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import NS_PER_S
 from tests import logs

@@ -13,7 +13,7 @@ from junitparser import JUnitXml
 
 from roadperc_stream.cli.compare import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS
+from roadperc_stream.eval.compare.bootstrap import MANY_LOGS
 from roadperc_stream.eval.criteria import BY_NAME
 from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import table_facts

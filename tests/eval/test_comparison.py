@@ -9,14 +9,15 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from roadperc_stream.eval.comparison.agreement import INCOMPARABLE, Agreement, Difference, added, distance
-from roadperc_stream.eval.comparison.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
-from roadperc_stream.eval.comparison.comparing import compare_runs
-from roadperc_stream.eval.comparison.metrics import METRICS
-from roadperc_stream.eval.comparison.pairing import RunPair, logged_runs, pair_runs
-from roadperc_stream.eval.comparison.tails import tail_findings
-from roadperc_stream.eval.comparison.values import LogValues
-from roadperc_stream.eval.options import Amount, Rules, allowance, tolerance
+from roadperc_stream.cli.compare import allowance, tolerance
+from roadperc_stream.eval.compare.agreement import INCOMPARABLE, Agreement, Difference, added, distance
+from roadperc_stream.eval.compare.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
+from roadperc_stream.eval.compare.comparing import compare_runs
+from roadperc_stream.eval.compare.metrics import METRICS
+from roadperc_stream.eval.compare.pairing import RunPair, logged_runs, pair_runs
+from roadperc_stream.eval.compare.tails import tail_findings
+from roadperc_stream.eval.compare.values import LogValues
+from roadperc_stream.eval.options import Amount, Rules
 from tests.eval.tables import row, run_of, write
 
 NAN = math.nan

@@ -12,7 +12,7 @@ from roadperc_stream.cli.trajectory import main as trajectory_main
 from roadperc_stream.eval.continued import find_joined
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
-from roadperc_stream.eval.summary import summarise_run
+from roadperc_stream.eval.summaries import summarise_run
 from tests.eval.tables import row, write
 from tests.eval.trajectories.paths import columns, helix, noisy
 

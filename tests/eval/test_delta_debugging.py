@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.eval.delta_debugging import ddmin
+from roadperc_stream.eval.bisect.delta_debugging import ddmin
 
 SIZE = 24
 

@@ -9,7 +9,8 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli import find, replay
-from roadperc_stream.eval import clips, frame_replay
+from roadperc_stream.eval import frame_replay
+from roadperc_stream.eval.find import clips
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import ObjectMetrics

@@ -17,7 +17,7 @@ from roadperc_stream.eval.html.known_plots import average_precision, curve, matc
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summary import summarise_run
+from roadperc_stream.eval.summaries import summarise_run
 from roadperc_stream.formats import images
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import Channel, LogWriter, Message

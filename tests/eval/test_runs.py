@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.quantities import legend, short_names
+from roadperc_stream.eval.report_columns import legend, short_names
 from roadperc_stream.eval.runs import find_runs
 from tests.eval.tables import row, write
 

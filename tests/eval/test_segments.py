@@ -7,15 +7,15 @@ import pytest
 
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main
-from roadperc_stream.eval.comparison.agreement import compare_tables
-from roadperc_stream.eval.comparison.pairing import logged_runs, pair_runs
+from roadperc_stream.eval.compare.agreement import compare_tables
+from roadperc_stream.eval.compare.pairing import logged_runs, pair_runs
 from roadperc_stream.eval.html.charts import POSE_COLUMNS, paths, trajectory
 from roadperc_stream.eval.html.figures import load_series
 from roadperc_stream.eval.options import Rules
-from roadperc_stream.eval.summary import summarise_run
-from roadperc_stream.eval.trajectories.errors import Delta
-from roadperc_stream.eval.trajectories.evaluation import evaluate
-from roadperc_stream.eval.trajectories.poses import read_poses
+from roadperc_stream.eval.summaries import summarise_run
+from roadperc_stream.eval.trajectory.errors import Delta
+from roadperc_stream.eval.trajectory.evaluation import evaluate
+from roadperc_stream.eval.trajectory.poses import read_poses
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight, write_run
 

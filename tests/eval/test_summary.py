@@ -7,11 +7,11 @@ import polars as pl
 import pytest
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval import summary as module
+from roadperc_stream.eval import summaries as module
 from roadperc_stream.eval.configurations import Group
-from roadperc_stream.eval.quantities import NUMBERS
+from roadperc_stream.eval.report_columns import NUMBERS
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summary import summarise_group, summarise_run
+from roadperc_stream.eval.summaries import summarise_group, summarise_run
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 
 

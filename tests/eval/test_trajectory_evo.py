@@ -15,9 +15,9 @@ import pytest
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.trajectory import main
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.trajectories.errors import Delta
-from roadperc_stream.eval.trajectories.evaluation import evaluate
-from roadperc_stream.eval.trajectories.poses import read_poses
+from roadperc_stream.eval.trajectory.errors import Delta
+from roadperc_stream.eval.trajectory.evaluation import evaluate
+from roadperc_stream.eval.trajectory.poses import read_poses
 from tests.eval.trajectories.paths import noisy, poses_at, scaled, write_run
 
 pytestmark = pytest.mark.skipif(

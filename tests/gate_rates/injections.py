@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from roadperc_stream.eval.quantities import SIDES, TRUTH
+from roadperc_stream.eval.report_columns import SIDES, TRUTH
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 
 TIMES = "recorded times x 1.2 (`--times`)"

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 from roadperc_stream.eval.metrics_page import table, with_tables
-from roadperc_stream.eval.quantities import DERIVED, NUMBERS
+from roadperc_stream.eval.report_columns import DERIVED, NUMBERS
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns import TIME_COLUMNS, Column, FrameMetrics, ObjectMetrics, columns_of, row_of
 from roadperc_stream.schemas.row_messages import FrameMetrics as FrameMetricsProto

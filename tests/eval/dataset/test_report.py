@@ -13,7 +13,7 @@ from roadperc_stream.eval.dataset import groups, reading
 from roadperc_stream.eval.dataset.groups import group_frames, summaries_of
 from roadperc_stream.eval.dataset.place import dataset_at, metrics_files, read_runs
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summary import summarise_group
+from roadperc_stream.eval.summaries import summarise_group
 from roadperc_stream.tools.bench.report import write_dataset
 from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
 from tests.eval.tables import outcome, usage_error

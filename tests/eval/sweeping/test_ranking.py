@@ -4,12 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadperc_stream.cli.sweep import varied
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.options import varied
-from roadperc_stream.eval.sweep import best_settings, effects, without_effect
-from roadperc_stream.eval.sweeping.ranking import METRICS, SettingScore, best, effect, scores
-from roadperc_stream.eval.sweeping.settings import Combination, combinations, passes, reference_of
+from roadperc_stream.eval.sweep.ranking import METRICS, SettingScore, best, effect, scores
+from roadperc_stream.eval.sweep.settings import Combination, combinations, passes, reference_of
+from roadperc_stream.eval.sweep.sweep import best_settings, effects, without_effect
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from tests.eval.tables import row

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.trajectories.errors import (
+from roadperc_stream.eval.trajectory.errors import (
     Delta,
     absolute_errors_m,
     align,

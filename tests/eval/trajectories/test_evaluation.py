@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.trajectories.errors import Delta
-from roadperc_stream.eval.trajectories.evaluation import evaluate
-from roadperc_stream.eval.trajectories.poses import RunPoses
+from roadperc_stream.eval.trajectory.errors import Delta
+from roadperc_stream.eval.trajectory.evaluation import evaluate
+from roadperc_stream.eval.trajectory.poses import RunPoses
 from tests.eval.trajectories.paths import helix, scaled, straight
 
 FRAME = Delta(1, "frames")

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval.trajectories.poses import kitti_lines, read_poses, tum_lines
+from roadperc_stream.eval.trajectory.poses import kitti_lines, read_poses, tum_lines
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 from tests.eval.trajectories.paths import columns, helix, noisy, rigid, write_run
 

@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream.eval.configurations import Group
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summary import summarise_group
+from roadperc_stream.eval.summaries import summarise_group
 from roadperc_stream.tools.bench.report import group_by, main, write_dataset
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from roadperc_stream.eval.trajectories.errors import absolute_errors_m, align, angles_deg, segment_errors
-from roadperc_stream.eval.trajectories.errors import path_m as distances_m
+from roadperc_stream.eval.trajectory.errors import absolute_errors_m, align, angles_deg, segment_errors
+from roadperc_stream.eval.trajectory.errors import path_m as distances_m
 
 __all__ = ["aligned_errors_m", "angle_deg", "distances_m", "relative_errors"]
 

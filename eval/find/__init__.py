@@ -1,0 +1,1 @@
+"""Events that fulfil a condition, and excerpts of their logs."""
