@@ -57,9 +57,9 @@ JOBS ?= $(shell nproc)
 mutants: $(VENV)/.installed  # adds small faults to the code and lists those that no test notices: 15 minutes, the first run 30
 	$(BIN)/python -m tests.mutants --count $(N) --seed $(SEED) --jobs $(JOBS)
 
-fuzz: N = 2000
-fuzz: $(VENV)/.installed  # gives every command wrong input: make fuzz N=20000 SEED=2
-	$(BIN)/python -m tests.fuzz --count $(N) --seed $(SEED) --jobs $(JOBS)
+fuzz: N = 200
+fuzz: $(VENV)/.installed  # gives every command wrong input, N for each test of tests/fuzz: make fuzz N=1000
+	FUZZ=$(N) $(BIN)/python -m pytest -n $(JOBS) tests/fuzz
 
 SEEDS ?= 4
 PAGE ?=

@@ -6,8 +6,6 @@ import sys
 
 import pytest
 
-from roadperc_stream.system.process import keep_freed_memory
-
 FAULTS = """
 import resource
 import sys
@@ -37,8 +35,3 @@ def faults(mode):
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc's")
 def test_kept_memory_is_not_asked_for_again():
     assert faults("keep") < 100 < faults("as usual")
-
-
-def test_without_such_a_setting_nothing_is_done(monkeypatch):
-    monkeypatch.setattr("ctypes.CDLL", lambda _: object())
-    keep_freed_memory()
