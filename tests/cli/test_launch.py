@@ -3,11 +3,13 @@
 import os
 import signal
 import subprocess
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from roadperc_stream import api
+from roadperc_stream.cli.launch import COMMANDS
 from roadperc_stream.errors import TargetError
 from tests.commands import BUFFERINGS, environment, run, run_forked, status, words
 from tests.test_sample import SAMPLE
@@ -44,6 +46,15 @@ def test_output_to_a_full_device_is_one_line():
     with FULL.open("w") as device:
         ended = run("roadperc-info", SAMPLE, capture_output=False, stdout=device, stderr=subprocess.PIPE)
     assert (ended.returncode, ended.stderr) == (1, "error: No space left on device\n")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_has_the_command_in_an_example(command, capsys):
+    with pytest.raises(SystemExit) as end:
+        import_module(f"roadperc_stream.cli.{command}").main(["--help"])
+    printed = capsys.readouterr().out
+    assert (end.value.code, printed.startswith(f"usage: roadperc-{command} ")) == (0, True)
+    assert f"  roadperc-{command} " in printed.partition("--version")[2]
 
 
 @pytest.mark.parametrize(
