@@ -35,6 +35,8 @@ import sys
 
 from roadperc_stream.calc import halved
 
+pytestmark = pytest.mark.long
+
 
 def test_halved():
     assert [halved(k) for k in (0, 7, 8)] == [0, 4, 4]

@@ -16,13 +16,13 @@ if sys.argv[1] == "keep":
     keep_freed_memory()
 
 def frame():
-    kept = [np.ones(4 << 17) for _ in range(20)]
+    kept = [np.ones(4 << 17) for _ in range(8)]
     return sum(array[0] for array in kept)
 
 for _ in range(3):
     frame()
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for _ in range(10):
+for _ in range(4):
     frame()
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
