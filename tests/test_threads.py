@@ -15,7 +15,6 @@ import pytest
 
 import roadperc_stream as rp
 from roadperc_stream import loop
-from roadperc_stream.chain import prepare
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError, LogError, TargetError
@@ -182,7 +181,7 @@ def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monke
 @pytest.mark.parametrize(("number", "threads"), [(signal.SIGTERM, 2), (signal.SIGINT, 3), (signal.SIGTERM, 1)])
 def test_a_signal_leaves_only_the_checkpoint_and_prints_how_to_continue(tmp_path, number, threads):
     source, target = logs.write(tmp_path / "in.mcap", items_of(50)), tmp_path / "out.mcap"
-    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.replay import main; sys.exit(main())"]
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"]
     options = ["--threads", str(threads), "--checkpoint-every", "0.2", "--set", "sync.max_wait_s=0.1"]
     process = subprocess.Popen(
         [*command, str(source), str(target), *options, "--only", "surface"], stderr=subprocess.PIPE, text=True
@@ -195,34 +194,6 @@ def test_a_signal_leaves_only_the_checkpoint_and_prints_how_to_continue(tmp_path
     expected = "error: interrupted; run the same command with --resume to continue from the last checkpoint\n"
     assert (process.returncode, err) == (1, expected)
     assert {path.name for path in tmp_path.iterdir()} == {"in.mcap", ".out.mcap.checkpoint"}
-
-
-def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
-    """With a clock that only the steps move, each by another time."""
-    now_s = [0.0]
-
-    def taking(milliseconds, function):
-        def worked(*arguments, **options):
-            now_s[0] += milliseconds / 1000
-            return function(*arguments, **options)
-
-        return worked
-
-    monkeypatch.setattr(loop, "perf_counter", lambda: now_s[0])
-    monkeypatch.setattr(prepare, "_sensor_depth", taking(3, prepare._sensor_depth))
-    monkeypatch.setattr(loop, "frame_metrics", taking(5, loop.frame_metrics))
-    monkeypatch.setattr(writing.MessageCopy, "through", taking(7, writing.MessageCopy.through))
-    monkeypatch.setattr(writing.Outputs, "_messages", taking(11, writing.Outputs._messages))
-    monkeypatch.setattr(writing.Outputs, "_write_messages", taking(13, writing.Outputs._write_messages))
-    target = tmp_path / "out.mcap"
-    replay(logs.write(tmp_path / "in.mcap", items_of()), target, LIGHT)
-
-    times = pl.read_parquet(sidecar_path(target, "metrics")).select(TIME_COLUMNS)
-    expected = {"decode_ms": 3, "metrics_ms": 5, "copy_ms": 7, "encode_ms": 11, "write_ms": 13, "total_ms": 39}
-    for column, milliseconds in expected.items():
-        assert times[column].to_list() == pytest.approx([milliseconds] * FRAMES), column
-    parts = times.drop("total_ms").sum_horizontal()
-    assert parts.to_list() == pytest.approx(times["total_ms"].to_list())
 
 
 @pytest.mark.parametrize("threads", THREADS)

@@ -507,17 +507,6 @@ def test_an_endless_stage_can_be_interrupted(folder, words, forever):
         time.sleep(0.05)
 
 
-@pytest.mark.promise("Own stages", "Errors of other threads of a stage are one escaped line each")
-def test_an_error_of_another_thread_is_one_line(folder):
-    raising = "import threading; raise ValueError('\\33[31m')"
-    start = (
-        f"import threading; thread = threading.Thread(target=lambda: exec({raising!r})); thread.start(); thread.join()"
-    )
-    (folder / "counting.py").write_text(f"{start}\n{COUNTING}")
-    done = commands.run("roadperc-replay", SAMPLE, "out.mcap", *OWN, "--frames", "2", *ONLY, cwd=folder)
-    assert (done.returncode, done.stderr) == (0, "note: exception in a thread: ValueError: \\x1b[31m\n")
-
-
 def test_batches_and_sweeps_run_own_stages(folder):
     own = "lanes.implementation=counting:Counting"
     only = ["--set", own, "--set", "stereo.method=off", "--frames", "2"]

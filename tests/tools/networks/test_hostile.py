@@ -119,9 +119,10 @@ def test_an_endless_model_can_be_interrupted(tmp_path):
     process = subprocess.Popen(commands.words("roadperc-infer", *described(tmp_path, onnx.endless())), stderr=-1)
     time.sleep(2.5)
     assert process.poll() is None
-    asked = time.monotonic()
     process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=20)
-    assert time.monotonic() - asked < 2
+    try:
+        _, error = process.communicate(timeout=2)
+    finally:
+        process.kill()
     assert (process.returncode, error.count(b"\n")) == (1, 1)
     assert not list(tmp_path.glob("*seen*"))
