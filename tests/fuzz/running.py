@@ -11,7 +11,7 @@ from hypothesis import settings
 from tests.commands import run_forked
 
 EXAMPLES = os.environ.get("FUZZ", "")
-examples = settings(max_examples=int(EXAMPLES or 12), derandomize=not EXAMPLES)
+examples = settings(max_examples=int(EXAMPLES or 10), derandomize=not EXAMPLES, deadline=None)
 """Few examples, equal in every run; ``make fuzz`` draws more."""
 GROWTH_BYTES = 3 * 2**29
 """New memory of a command, at most."""
