@@ -9,6 +9,8 @@ import pytest
 
 from tests.mutants.__main__ import draw, places_in, run_tests
 
+pytestmark = pytest.mark.long
+
 CALC = '''"""Numbers."""
 
 LIMIT = 3
@@ -34,8 +36,6 @@ TESTS = """import subprocess
 import sys
 
 from roadperc_stream.calc import halved
-
-pytestmark = pytest.mark.long
 
 
 def test_halved():
