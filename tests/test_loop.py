@@ -244,7 +244,7 @@ def test_a_full_disk_at_the_end_leaves_neither_log_nor_table(source, monkeypatch
     assert [path.name for path in source.parent.iterdir()] == ["in.mcap"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_leaves_no_file(tmp_path, number):
     source = logs.write(tmp_path / "in.mcap", logs.items(60, road=replace(logs.SMALL, width=160, height=120)))
     command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"]

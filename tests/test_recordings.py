@@ -34,7 +34,7 @@ def replayed(data_dir, tmp_path_factory):
 
 
 FRAMES = {
-    "carla_frame": 1, "carla_raw_tags": 3, "carla_rgbd": 90, "course_frames": 2, "course_odometry": 16,
+    "carla_frame": 1, "carla_raw_tags": 3, "course_frames": 2, "course_odometry": 16,
     "course_stereo": 1,
 }  # fmt: skip
 
@@ -88,11 +88,11 @@ def test_sidewalks_are_drivable_only_by_setting(replayed):
 
 
 def test_carla_rgbd_height_and_pitch(replayed):
-    metrics, _ = replayed("carla_rgbd")
-    assert (metrics["camera_height_m"] - 2.0).abs().le(0.01).sum() >= 85
+    metrics, _ = replayed("carla_rgbd", "--frames", "30")
+    assert (metrics["camera_height_m"] - 2.0).abs().le(0.01).sum() >= 29
     assert abs(metrics["camera_pitch_deg"].median()) < 0.02
     assert set(metrics["surface_source"]) == {"lower_image"}
-    assert metrics["lane_left_status"].null_count() == 90
+    assert metrics["lane_left_status"].null_count() == 30
     assert metrics["reason_codes"].explode().unique().sort().to_list() == [
         "lanes.no_segmentation",
         "objects.no_detections",
@@ -103,7 +103,7 @@ def test_carla_rgbd_height_and_pitch(replayed):
 
 def test_the_pixel_origin_shifts_the_pitch_by_a_tenth_of_a_degree(data_dir, tmp_path, replayed):
     """With pixel_origin "centre" the pitch of the same frames is larger by 0.11 degrees."""
-    part = ("--frames", "20", "--only", "surface")
+    part = ("--frames", "8", "--only", "surface")
     right, _ = replayed("carla_rgbd", *part)
     dump = tmp_path / "dump"
     dump.mkdir()

@@ -4,6 +4,7 @@ import gc
 import os
 import signal
 import sys
+import threading
 from functools import partial
 from importlib import import_module
 from io import TextIOWrapper
@@ -59,7 +60,10 @@ def _launch(command: str) -> int:
     except Exception as error:
         import_module("roadperc_stream.system.text").print_trace(error)
         code = error_code
-    return _flushed(code)
+    code = _flushed(code)
+    if code and any(not thread.daemon for thread in threading.enumerate()[1:]):
+        os._exit(code)  # the interpreter would wait for a thread of a library that may never end
+    return code
 
 
 def _flushed(code: int) -> int:

@@ -55,11 +55,6 @@ def runs(out):
     )
 
 
-def change_rows(out, **columns):
-    path = out / "runs.parquet"
-    pl.read_parquet(path).with_columns(**columns).write_parquet(path)
-
-
 def statuses(out):
     return dict(runs(out).select("name", "status").iter_rows())
 

@@ -1,21 +1,17 @@
 """A batch again, after logs or the dataset have changed."""
 
 import os
-import shutil
-from contextlib import nullcontext
 
 import polars as pl
 import pytest
 
 from roadperc_stream.batch import worker
-from roadperc_stream.batch.driver import BatchRun
 from roadperc_stream.batch.storage.location import Location, find_files
-from roadperc_stream.batch.task import BatchConfiguration, BatchJob, LogFiles, Outcome, Task
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, LogFiles, Task
 from roadperc_stream.config import load_config
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.time import TimeRange
-from tests.batch.backends import Scripted
-from tests.batch.dataset import assert_as_single, batch, change_rows, runs, statuses, write_log, written
+from tests.batch.dataset import batch, runs, statuses, write_log, written
 
 CONFIGURATION = BatchConfiguration(load_config(None))
 
@@ -62,18 +58,6 @@ def test_a_log_that_changes_during_its_replay_is_unreachable_and_has_no_tables(
     assert not written(out)
 
 
-def test_rows_from_the_future_hide_nothing(tmp_path, source, out):
-    batch(out, source)
-    change_rows(out, finished_ns=pl.col("finished_ns") + 24 * 3600 * 10**9)
-    shutil.rmtree(out / "metrics")
-    assert batch(out, source).stdout.startswith("1 log done: 4 frames")
-    write_log(source, lane_m=0.3)
-    assert batch(out, source).stdout.startswith("1 log done: 4 frames")
-    assert batch(out, source).stdout.startswith("0 logs done, 1 skipped")
-    assert sorted(map(len, runs(out)["names"])) == [0, 1]
-    assert_as_single(out, source, tmp_path)
-
-
 def test_the_path_of_a_log_is_one_of_its_current_names(tmp_path, source, out):
     other = write_log(source.with_name("b.mcap"), frames=5)
     batch(out, source.parent)
@@ -85,30 +69,6 @@ def test_the_path_of_a_log_is_one_of_its_current_names(tmp_path, source, out):
         str(source): ([str(source)], 5),
         str(other): ([str(other)], 4),
     }
-
-
-def test_an_empty_table_and_an_unknown_status_are_replayed(tmp_path, source, out):
-    batch(out, source)
-    (table,) = written(out)
-    table.write_bytes(b"")
-    assert batch(out, source).stdout.startswith("1 log done: 4 frames")
-    assert_as_single(out, source, tmp_path)
-    change_rows(out, status=pl.lit("of another version"))
-    assert batch(out, source).returncode == 0
-    assert statuses(out) == {"a.mcap": "done"}
-
-
-def test_a_failed_check_changes_no_result(source, out):
-    batch(out, source)
-    before = written(out)
-    job = BatchJob(CONFIGURATION, Location(str(out)), verify=True)
-    verifying = BatchRun(job, [str(source)], None)
-    verifying.run(lambda: Scripted(lambda _: Outcome("timeout", "took too long")), lambda: nullcontext(lambda _: None))
-    assert sorted(row["status"] for row in runs(out).to_dicts()) == ["done", "timeout"]
-    assert set(runs(out)["names"].list.len()) == {1}
-    assert batch(out, source).stdout.startswith("1 log done: 0 frames")
-    assert written(out) == before
-    assert statuses(out) == {"a.mcap": "done"}
 
 
 def test_a_recovered_log_is_checked_as_it_was_replayed(tmp_path, out):

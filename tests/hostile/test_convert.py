@@ -79,10 +79,8 @@ def test_a_mistake_in_a_dump_is_reported(tmp_path, options, code, message):
         ("frame,timestamp,x\n1,0.5,7\n2,0.6,7\n3,0.75,7\n", [EPOCH_NS + t * 1_000_000 for t in (500, 600, 750)]),
         ("x,stamp_ns,filename\n9,100,rgb/3.png\n9,50,rgb/2.png\n9,7,rgb/1.png\n", [EPOCH_NS + t for t in (7, 50, 100)]),
         (f"#timestamp [ns],filename\n{TIME_NS},1.png\n{TIME_NS + 5},2.png\n{TIME_NS + 9},3.png\n", None),
-        (f"Timestamp;Frame;gain\n{TIME_NS};1;a\n{TIME_NS + 5};2;b\n{TIME_NS + 9};3;c\n", None),
-        (f"time,gain\n{TIME_NS},1.5\n{TIME_NS + 5},1.5\n{TIME_NS + 9},1.5\n", None),
     ],
-    ids=["seconds", "files", "EuRoC", "capitals", "in order"],
+    ids=["seconds", "files", "EuRoC"],
 )
 def test_stamps_are_found_by_the_name_of_their_column(tmp_path, table, expected):
     path = tmp_path / "timestamps.csv"
@@ -125,24 +123,20 @@ def test_unused_files_with_stamps_are_reported(tmp_path):
 
 
 @pytest.mark.promise("Dumps", "An interrupted `roadperc-render` leaves its target as it was")
-@pytest.mark.parametrize(("name", "former"), [("SIGINT", False), ("SIGTERM", True)])
-def test_an_interrupted_render_keeps_its_target(tmp_path, name, former):
+def test_an_interrupted_render_keeps_its_target(tmp_path):
     folder = tmp_path / "dump"
-    if former:
-        folder.mkdir()
-        (folder / "truth.json").write_text("former")
-        (folder / "own.txt").write_text("own")
+    folder.mkdir()
+    (folder / "truth.json").write_text("former")
     command = words("roadperc-render", folder, "--size", "320x240", "--seconds", "60", "--force")
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not any(tmp_path.glob(".*.partial/rgb/*.png")) and time.monotonic() < deadline:
         time.sleep(0.05)
-    os.kill(process.pid, getattr(signal, name))
+    os.kill(process.pid, signal.SIGTERM)
     _, said = process.communicate(timeout=30)
     assert (process.returncode, said) == (1, "error: interrupted\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["dump"] * former
-    if former:
-        assert (folder / "truth.json").read_text() == "former"
+    assert list(tmp_path.rglob("*")) == [folder, folder / "truth.json"]
+    assert (folder / "truth.json").read_text() == "former"
 
 
 def test_a_render_replaces_an_earlier_one_and_keeps_other_files(tmp_path):

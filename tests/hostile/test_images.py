@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.commands import run_forked
-from tests.fuzz.pictures import POSTSCRIPT
 from tests.hostile import inputs
 
 ROOT = Path(__file__).parents[2]
@@ -42,25 +40,17 @@ def ghostscript(tmp_path):
 
 @pytest.mark.promise("Messages", "No image starts a program")
 @pytest.mark.commands
-@pytest.mark.parametrize("data", [POSTSCRIPT, b"\xc5\xd0\xd3\xc6" + bytes(28) + POSTSCRIPT], ids=["PS", "DOS EPS"])
-@pytest.mark.parametrize(
-    "command",
-    [
-        "roadperc-replay in.mcap out.mcap", "roadperc-replay in.mcap out.mcap --overlay --debug",
-        "roadperc-replay in.mcap out.mcap --template dump/rgb/1.png", "roadperc-info in.mcap",
-        "roadperc-convert dump out.mcap",
-    ],
-)  # fmt: skip
-def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command, data):
+@pytest.mark.parametrize("command", ["roadperc-replay in.mcap out.mcap --overlay", "roadperc-convert dump out.mcap"])
+def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command):
     started, variables = ghostscript
-    picture = encoding.encode_image(logs.START_NS, "camera", "png", data)
+    picture = encoding.encode_image(logs.START_NS, "camera", "png", inputs.POSTSCRIPT)
     logs.write(tmp_path / "in.mcap", inputs.replaced("image", picture, frames=1))
     (tmp_path / "dump" / "rgb").mkdir(parents=True)
-    (tmp_path / "dump" / "rgb" / "1.png").write_bytes(data)
+    (tmp_path / "dump" / "rgb" / "1.png").write_bytes(inputs.POSTSCRIPT)
     (tmp_path / "dump" / "calibration.json").write_text('{"width": 9, "height": 9, "fov_deg": 90}')
     done = run_forked(*command.split(), cwd=tmp_path, variables=variables)
     assert not started.exists(), started.read_text()
-    assert "not an image" in done.stdout + done.stderr or "info" in command, done.stdout + done.stderr
+    assert "not an image" in done.stdout + done.stderr, done.stdout + done.stderr
 
 
 def test_the_ghostscript_trap_works(ghostscript, monkeypatch):
@@ -68,7 +58,7 @@ def test_the_ghostscript_trap_works(ghostscript, monkeypatch):
     started, variables = ghostscript
     monkeypatch.setenv("PATH", variables["PATH"])
     monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)
-    with pytest.raises(OSError), PillowImage.open(io.BytesIO(POSTSCRIPT)) as picture:  # noqa: PT011
+    with pytest.raises(OSError), PillowImage.open(io.BytesIO(inputs.POSTSCRIPT)) as picture:  # noqa: PT011
         picture.load()
     assert started.exists()
 
@@ -91,7 +81,7 @@ def test_every_call_of_pillow_names_the_formats(folder):
     {
         "image of format BMP: expected png, jpeg, webp; convert it": packed("BMP"),
         "image of format TIFF: expected png, jpeg, webp; convert it": packed("TIFF"),
-        "bytes are not an image, they start with 25215053": POSTSCRIPT,
+        "bytes are not an image, they start with 25215053": inputs.POSTSCRIPT,
     }.items(),
 )  # fmt: skip
 def test_other_formats_are_refused(monkeypatch, fault, data):
@@ -100,12 +90,3 @@ def test_other_formats_are_refused(monkeypatch, fault, data):
     for decoder in DECODERS:
         with pytest.raises(DecodeError, match=fault):
             decoder(data)
-
-
-@pytest.mark.parametrize("name", ["PNG", "JPEG", "WEBP"])
-def test_the_size_of_each_format_is_checked(name):
-    small, data = LimitsConfig(image_megapixels=0.01), packed(name)
-    assert images.image_size(data, small) == (32, 24)
-    assert images.decode_grey(data, small).shape == (24, 32)
-    with pytest.raises(DecodeError, match=r"expected limits\.image_megapixels 0\.01"):
-        images.decode_bgr(packed(name, PICTURE.resize((320, 240))), small)

@@ -9,6 +9,8 @@ import pytest
 
 from tests.mutants.__main__ import draw, places_in, run_tests
 
+pytestmark = pytest.mark.long
+
 CALC = '''"""Numbers."""
 
 LIMIT = 3

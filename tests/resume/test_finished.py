@@ -17,7 +17,6 @@ from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
-from roadperc_stream.resume import opening
 from roadperc_stream.resume.checkpoint import checkpoint_folder
 from roadperc_stream.schemas.record import STATE_ATTACHMENT
 from tests import logs
@@ -93,14 +92,6 @@ def test_lookups_do_not_change_the_bytes_of_a_tree(made, asked):
     for target, source in pairwise(asked):
         tree.lookup(target, source)
     assert encode(tree) == before
-
-
-def test_a_result_of_another_version_is_not_complete(tmp_path, capsys, monkeypatch):
-    words = [str(with_transforms(tmp_path / "in.mcap", [])), str(tmp_path / "out.mcap"), *EVERY]
-    assert main(words) == 0
-    monkeypatch.setattr(opening, "__version__", "0.0.1")
-    assert main([*words, "--resume"]) == 1
-    assert capsys.readouterr().err == f"error: {tmp_path / 'out.mcap'}: exists; pass --force to overwrite it\n"
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """Items through steps: everything in order, whatever is faster; errors where they belong; no thread is left."""
 
 import signal
-import sys
 import threading
 import time
 from itertools import count
@@ -11,10 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.system import pipeline
 from roadperc_stream.system.pipeline import Pipeline
 
-CONDITION = {getattr(threading.Condition, name).__code__ for name in ("__enter__", "__exit__", "wait", "notify_all")}
 THREADS = (1, 2, 3, 4)
 STEPS = ("read", "first", "second", "last")
 DELAYS_MS = st.lists(st.tuples(*[st.integers(0, 3)] * len(STEPS)), max_size=8)
@@ -140,70 +137,6 @@ def test_a_signal_ends_at_once_what_waits(threads):
     after = len(done)
     pause(20)
     assert len(done) == after
-
-
-def test_a_signal_may_come_anywhere():
-    """Also where the caller has just taken a lock: an error at each of its instructions in turn.
-
-    Those of the standard library's ``Thread`` are left out: it has locks of its own, which it takes once in a job.
-    """
-
-    def is_of_condition(frame):
-        return frame.f_code in CONDITION and frame.f_back.f_code.co_filename == pipeline.__file__
-
-    def interrupted(instruction):
-        """Whether the caller's run is over with the error, at the instruction of that number."""
-        left, outcome = [instruction], []
-
-        def trace(frame, event, _):
-            frame.f_trace_opcodes = frame.f_code.co_filename == pipeline.__file__ or is_of_condition(frame)
-            left[0] -= event == "opcode"
-            if left[0] < 0:
-                raise StopError
-            return trace
-
-        def call():
-            sys._getframe().f_trace_opcodes = True  # Python 3.12 traces none unless one asks before it traces
-            sys.settrace(trace)
-            try:
-                Pipeline(iter(range(6))).then(lambda _: pause(1)).then(lambda _: pause(1)).run(2)
-            except StopError:
-                outcome.append("interrupted")
-            finally:
-                sys.settrace(None)
-
-        caller = threading.Thread(target=call, daemon=True)
-        caller.start()
-        caller.join(timeout=30)
-        assert not caller.is_alive(), f"it hangs, interrupted at instruction {instruction}"
-        return bool(outcome)
-
-    number = next(number for number in count() if not interrupted(number))
-    assert number > 100
-    deadline = time.monotonic() + 30
-    while threads_left() and time.monotonic() < deadline:  # one that had hardly started, and does nothing
-        pause(1)
-    assert threads_left() == []
-
-
-@pytest.mark.parametrize("threads", THREADS[1:])
-def test_an_error_of_no_step_ends_the_job_too(threads, monkeypatch):
-    def no_memory(*_):
-        raise MemoryError
-
-    monkeypatch.setattr(pipeline._Work, "_pass_on", no_memory)
-    outcome = []
-
-    def call():
-        with pytest.raises(MemoryError):
-            Pipeline(count()).then(lambda item: item).then(lambda item: item).run(threads)
-        outcome.append("ended")
-
-    caller = threading.Thread(target=call, daemon=True)
-    caller.start()
-    caller.join(timeout=30)
-    assert outcome == ["ended"]
-    assert threads_left() == []
 
 
 def test_numpy_is_silent_in_every_thread(recwarn):

@@ -54,16 +54,6 @@ def test_the_log_has_channels_tag_table_and_digests(drive):
     assert values["detections.sha256"].startswith("695e750a")
 
 
-def test_options_of_the_input_reach_the_conversion(drive, data_dir, capsys):
-    options = "--fov", 55, "--rate", 5, "--force"
-    assert infer(drive, drive / "shots", "slow.mcap", *options) == 0
-    times = [time_ns for time_ns, _, _ in messages(drive / "slow.mcap")["/camera/front/image"]]
-    assert times[2] - times[0] == 400_000_000
-    with pytest.raises(SystemExit):
-        infer(drive, drive / "slow.mcap", "no.mcap", *options)
-    assert "--rate: " in capsys.readouterr().err
-
-
 def test_the_output_of_a_log_stores_the_calibration_that_the_options_give(drive):
     """As does that of roadperc-degrade."""
     images = [m for m in log.read(log.summarise(drive / "out.mcap")) if m.channel.topic == "/camera/front/image"]
@@ -118,15 +108,6 @@ def messages(path):
     for message in log.read(log.summarise(path)):
         found.setdefault(message.channel.topic, []).append((message.log_time_ns, message.sequence, message.data))
     return found
-
-
-def test_messages_of_the_input_are_copied_and_results_have_the_images_log_times(drive):
-    assert infer(drive, drive / "out.mcap", "copy.mcap", "--force") == 0
-    before, after = messages(drive / "out.mcap"), messages(drive / "copy.mcap")
-    assert before == after
-    times = [time_ns for time_ns, _, _ in before["/camera/front/image"]]
-    for topic in ("/camera/front/segmentation", "/camera/front/detections"):
-        assert [time_ns for time_ns, _, _ in after[topic]] == times
 
 
 def test_detections_that_no_class_can_judge_are_kept_and_counted(drive):

@@ -16,6 +16,8 @@ from roadperc_stream.tools.bench.course import (
     read_messages,
 )
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("name", ["png", "jpeg"])
 def test_plane_lines_and_drivable_road_are_those_of_the_chain(bench_logs, name, monkeypatch):

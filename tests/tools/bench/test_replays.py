@@ -11,6 +11,8 @@ from roadperc_stream.tools.bench.inputs import BenchLog
 from roadperc_stream.tools.bench.replays import cost_of, replay_cost
 from tests.batch.machines import wait_until
 
+pytestmark = pytest.mark.long
+
 
 def test_a_replay_gives_its_parts(bench_logs, tmp_path):
     found = replay_cost("replay", bench_logs["png"], tmp_path / "out.mcap", 1)
@@ -29,25 +31,12 @@ def test_a_replay_that_fails_is_an_error(tmp_path):
         replay_cost("replay png", missing, tmp_path / "out.mcap", 1)
 
 
-def test_another_version_is_found_in_its_folder(bench_logs, tmp_path):
-    launch = tmp_path / "roadperc_stream" / "cli" / "launch.py"
-    launch.parent.mkdir(parents=True)
-    launch.write_text("replay = lambda: 7")
-    (tmp_path / "roadperc_stream" / "__init__.py").touch()
-    with pytest.raises(ProgramError, match="replay png ended with exit code 7"):
-        replay_cost("replay png", bench_logs["png"], tmp_path / "out.mcap", 1, tmp_path)
-
-
 def test_the_course_method_precedes_the_replay_of_its_log(bench_logs, tmp_path):
     names = list(bench._jobs(tmp_path, bench_logs, 2))
     for log in ("png", "jpeg", "stereo"):
         assert names.index(f"course {log}") + 1 == names.index(f"replay {log}, one thread")
     assert "replay truth, one thread" in names
     assert "replay png, all threads" in names
-
-
-def test_the_course_runs_as_a_program_of_its_own(bench_logs, tmp_path):
-    assert {"cpu", "wall", "part/odometry"} <= set(bench._jobs(tmp_path, bench_logs, 1)["course png"]())
 
 
 def test_memory_and_time_are_those_of_the_program_and_its_text_is_dropped(capfd):

@@ -32,6 +32,7 @@ def test_tables_are_kept(tmp_path):
     assert sorted(pl.read_parquet(path).height for path in tmp_path.glob("metrics/*/*.parquet")) == [3, 10]
 
 
+@pytest.mark.long
 def test_it_prints_time_memory_and_ratio(tmp_path, capsys):
     assert main([str(tmp_path), "--files", "2", "--rows", "20"]) == 0
     text = capsys.readouterr().out

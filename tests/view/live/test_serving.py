@@ -6,7 +6,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
@@ -28,7 +27,7 @@ from roadperc_stream.schemas.topics import RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live import serving as live_serving
 from roadperc_stream.view.live.serving import LiveReplay, ServeError, log_with_times, playing, serve_log
-from tests import logs
+from tests import commands, logs
 from tests.analytic import STEP_NS
 from tests.replaying import replay
 from tests.view.live.client import PATIENCE_S, Viewer
@@ -413,16 +412,11 @@ def test_wrong_live_options_are_a_usage_error(capsys):
         assert options.removeprefix("--live ").split()[0] in capsys.readouterr().err, options
 
 
-SERVE = "import sys; from roadperc_stream.cli.launch import view; sys.exit(view())"
-REPLAY = "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"
-
-
-@pytest.mark.parametrize("command", ["serve", "replay"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("command", "number"), [("serve", signal.SIGINT), ("replay", signal.SIGTERM)])
 def test_a_signal_ends_the_server_without_error(source, tmp_path, command, number):
     target = tmp_path / "out.mcap"
-    code, arguments = (SERVE, [source, "--foxglove"]) if command == "serve" else (REPLAY, [source, target, "--live"])
-    words = [sys.executable, "-c", code, *map(str, arguments), "--port", "0"]
+    serving, replaying = ("roadperc-view", source, "--foxglove"), ("roadperc-replay", source, target, "--live")
+    words = commands.words(*(serving if command == "serve" else replaying), "--port", 0)
     started = subprocess.Popen(words, stdout=-1, stderr=-1, text=True)
     port = int(re.search(r"ws://127\.0\.0\.1:(\d+) ", started.stdout.readline())[1])
     started.stdout.readline()
