@@ -15,6 +15,7 @@ import pytest
 
 import roadperc_stream as rp
 from roadperc_stream import loop
+from roadperc_stream.chain import prepare
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError, LogError, TargetError
