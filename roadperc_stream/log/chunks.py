@@ -69,27 +69,26 @@ def streamed(head: ChunkHead) -> Iterator[Record]:
     require_crc("chunk", crc, head.crc)
 
 
-def outline_of(head: ChunkHead, most: int) -> tuple[list[Record], str]:
-    """Return a chunk's records up to the first fault, of messages only the fields, and the fault; empty without one.
+def outline_of(head: ChunkHead, most: int) -> tuple[list[Record], str, bool]:
+    """Return a chunk's records up to the first fault, of messages only the fields.
 
-    In a complete chunk whose CRC does not prove its data, nothing shows which records are right: there are none.
+    Then the fault, empty without one, and whether the records may be altered, because the chunk's CRC does not show
+    that they are right.
     """
     found: list[Record] = []
     try:
         for record in streamed(head):
             if record.opcode in INSIDE:
                 if len(found) == most:
-                    return found, too_many(most)
+                    return found, too_many(most), bool(head.crc)
                 is_message = record.opcode == Opcode.MESSAGE
                 found.append(record._replace(body=record.body[: MESSAGE.size]) if is_message else record)
             elif record.opcode in NAMES:
-                return found, f"{record.name} record at its byte {record.start}, expected schema, channel or message"
-    except SizeError as error:
-        return found, fault_of(error)
+                fault = f"{record.name} record at its byte {record.start}, expected schema, channel or message"
+                return found, fault, bool(head.crc)
     except UNREADABLE as error:
-        is_unproven = head.crc and head.stored_bytes == len(head.stored)
-        return [] if is_unproven else found, fault_of(error)
-    return found, ""
+        return found, fault_of(error), bool(head.crc) and not isinstance(error, SizeError)
+    return found, "", False
 
 
 def unpacked(head: ChunkHead) -> memoryview:

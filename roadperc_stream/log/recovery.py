@@ -279,9 +279,10 @@ class Salvage:
                     yield record, ""
                     return
                 inside = self._start_inside(stream, record, head)
-                if inside is not None and (own := self._of_own_length(stream, record)):
-                    taken = RECORD.size + length
-                    self.losses.note(at, f"chunk: its record states {taken} bytes, its fields {own.end - at}")
+                is_short = record.opcode == Opcode.CHUNK and _chunk_bytes(record.body) > record.end - at
+                if (inside is not None or is_short) and (own := self._of_own_length(stream, record)):
+                    words = f"chunk: its record states {record.end - at} bytes, its fields {own.end - at}"
+                    self.losses.note(at, words)
                     record, head, inside, crc = own, stream.read(RECORD.size), None, None
                 if inside is None:
                     crc = self._checked(record, crc)
@@ -332,7 +333,7 @@ class Salvage:
             return None
         stream.seek(record.start + RECORD.size)
         own = Record(record.start, Opcode.CHUNK, stream.read(length - RECORD.size))
-        _, fault = outline_of(layout.chunk_head(own.body), self.limits.chunk_messages)
+        _, fault, _ = outline_of(layout.chunk_head(own.body), self.limits.chunk_messages)
         return None if fault else own
 
     def _next(self, stream: IO[bytes], at: int) -> int | None:
@@ -433,7 +434,9 @@ class Salvage:
     def _opened(self, chunk: _Chunk, head: layout.ChunkHead, cut: str, *, with_content: bool) -> Iterator[Found]:
         """Yield the messages in a chunk; note what is wrong with it."""
         start, before, held = chunk.entry.chunk_start_offset, self.losses.unread, list[_Entry]()
-        items, fault = outline_of(head, self.limits.chunk_messages)
+        items, fault, may_be_altered = outline_of(head, self.limits.chunk_messages)
+        if may_be_altered and not (cut and head.stored_bytes > len(head.stored)):
+            items = []
         is_loss, is_dropped = bool(cut or fault), False
         for item in items:
             try:
