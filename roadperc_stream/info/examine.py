@@ -60,6 +60,7 @@ def _file_facts(salvage: Salvage) -> FileFacts:
         last_good_ns=salvage.losses.last_good_ns,
         recovery=Recovery.of_records(salvage.described.metadata),
         absent=salvage.absent,
+        notes=salvage.notes,
         attachments={item.name: len(item.data) for item in salvage.described.attachments},
         metadata=tuple(record.name for record in salvage.described.metadata),
         conversion=dict(next((r.values for r in salvage.described.metadata if r.name == CONVERSION_RECORD), ())),

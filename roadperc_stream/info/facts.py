@@ -146,6 +146,8 @@ class FileFacts:
     """Counts of an earlier repair, as the repaired log records them."""
     absent: tuple[str, ...]
     """Optional parts of a log that this one lacks: index, CRCs."""
+    notes: tuple[str, ...]
+    """What is wrong in the log without harm."""
     attachments: Mapping[str, int]
     """Bytes by name."""
     metadata: tuple[str, ...]

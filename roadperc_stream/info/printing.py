@@ -183,6 +183,7 @@ def _file_lines(facts: LogFacts) -> Iterator[str]:
     yield from _damage_lines(facts)
     if file.absent:
         yield f"without {', without '.join(file.absent)}"
+    yield from (f"note: {note}" for note in file.notes)
     if facts.log_times_back:
         yield f"{number(facts.log_times_back, 'message')} after one with a later log time in the file"
 

@@ -178,6 +178,8 @@ class Salvage:
     losses: Losses = field(default_factory=Losses)
     absent: tuple[str, ...] = ()
     """Optional parts that the log lacks: its index, CRCs."""
+    notes: tuple[str, ...] = ()
+    """What is wrong in the log without harm."""
     all_in_chunks: bool = True
     """Whether every message is in a chunk."""
     whole: bool = False
@@ -539,8 +541,13 @@ class Salvage:
             words = f"{counted} messages found, the statistics count {said.message_count}"
         elif stated and stated != +self.counts:
             words = "the statistics count other messages on some channels"
+        found_ns = self.losses.first_ns, self.losses.last_ns
+        stated_ns = said.message_start_time, said.message_end_time
         if words:
             self.losses.note(byte, words, None if self._is_sealed else ANY_TIME, is_loss=not self._is_sealed)
+        elif counted and found_ns != stated_ns:
+            read, written = (f"from {first_ns} to {last_ns} ns" for first_ns, last_ns in (found_ns, stated_ns))
+            self.notes = (f"messages {read}, the statistics state them {written}",)
 
 
 def _contents(head: layout.ChunkHead, held: list[_Entry]) -> Iterator[Found]:

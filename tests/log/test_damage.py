@@ -196,3 +196,15 @@ def test_an_lz4_frame_without_its_end_is_an_error():
     for stored, fault in ((frame, ""), (frame[:-4], layout.TOO_SHORT)):
         head = layout.ChunkHead(0, 1, len(data), 0, "lz4", len(stored), memoryview(stored))
         assert outline_of(head, 10)[1] == fault
+
+
+def test_wrong_log_times_in_the_statistics_are_a_note(tmp_path):
+    path = flips.write(tmp_path / "a.mcap", messages=18, chunk_size=700, enable_crcs=False)
+    summary = log.summarise(path)
+    assert log.Salvage(path).run().notes == ()
+    stated = summary.first_ns.to_bytes(8, "little") + summary.last_ns.to_bytes(8, "little")
+    wrong = summary.first_ns.to_bytes(8, "little") + (summary.last_ns + 5).to_bytes(8, "little")
+    path.write_bytes(path.read_bytes().replace(stated, wrong))
+    found = log.Salvage(path).run()
+    assert found.whole
+    assert found.notes[0].endswith(f"the statistics state them from {summary.first_ns} to {summary.last_ns + 5} ns")
