@@ -137,7 +137,7 @@ class _Frames:
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
                 objects = object_metrics(self._input.log_id, sample, result)
-                output = FrameOutput((), row, {}, tuple(objects), evidence_of(self._cfg, sample.frame, result))
+                output = FrameOutput(row, tuple(objects), evidence_of(self._cfg, sample.frame, result))
             self._checkpoints.keep(self._outputs.write(sample, result, output, timer))
         self._earlier = sample.as_earlier
         self._done(sample, ReplayState(chain, self._earlier, self._outputs.shown))

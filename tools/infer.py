@@ -45,11 +45,12 @@ _IMAGE_ROLES: Final = ("image", "left")
 
 @dataclass(frozen=True)
 class InferOptions:
-    """How to infer: ``topics`` by role, ``recording`` for input that is no log; None for a thread per core."""
+    """How to infer: the topics by role of a log, or the options of a recording that is converted first."""
 
     topics: Mapping[str, str] = field(default_factory=dict)
     recording: ConvertOptions = field(default_factory=ConvertOptions)
     threads: int | None = None
+    """None for one per core."""
     force: bool = False
     quiet: bool = False
 

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
+from roadperc_stream import __version__
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.backend import Frames
 from roadperc_stream.batch.task import RESULTS_VERSION, Outcome, Task
@@ -47,13 +48,14 @@ _ENVIRONMENT: Final = {
 class ClusterRequest:
     """The cluster that a session joins or starts.
 
-    ``jobs`` are the CPUs of a local cluster, ``memory_bytes`` is the memory of a task. All machines must have ``code``.
+    ``jobs`` are the CPUs of a local cluster. ``memory_bytes`` is the memory of a task. Every machine must have
+    ``version``.
     """
 
     address: str
     jobs: int
     memory_bytes: int
-    code: str
+    version: str
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class RayBackend:
     def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
         if importlib.util.find_spec("ray") is None:
             raise ClusterError("--ray: Ray is not installed; pip install '.[cluster]' in the project's folder")
-        self._request = ClusterRequest(address, jobs, memory_bytes, RESULTS_VERSION)
+        self._request = ClusterRequest(address, jobs, memory_bytes, version_on_node())
         self._tasks: dict[str, Task] = {}
         self._state = ClusterState(0, {})
 
@@ -109,7 +111,7 @@ class RayBackend:
         """Start Ray or join a cluster.
 
         Raises:
-            ClusterError: no cluster listens at the address, or its code differs.
+            ClusterError: no cluster listens at the address, or its version differs.
         """
         _require_listener(self._request.address)
         self._connection, other = Pipe()
@@ -219,9 +221,9 @@ def _require_listener(address: str) -> None:
 _PROGRESS_EVERY_S: Final = 1.0
 
 
-def code_on_node() -> str:
-    """The version of the results on the machine that runs this; Ray takes only plain functions."""
-    return RESULTS_VERSION
+def version_on_node() -> str:
+    """The versions of program and results on the machine that runs this; Ray takes only plain functions."""
+    return f"{__version__}, results {RESULTS_VERSION}"
 
 
 class FrameCount:

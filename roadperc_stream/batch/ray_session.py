@@ -52,7 +52,7 @@ def _joined(request: cluster.ClusterRequest) -> Iterator[None]:
     """Join or start the cluster within the context.
 
     Raises:
-        ClusterError: the workers have other code than the batch.
+        ClusterError: the workers have another version than the batch.
     """
     is_local = request.address == cluster.LOCAL
     started: AbstractContextManager[dict[str, Any]] = _local(request) if is_local else nullcontext({})
@@ -60,8 +60,8 @@ def _joined(request: cluster.ClusterRequest) -> Iterator[None]:
         ray.init(request.address, log_to_driver=False, logging_level=logging.CRITICAL, **options)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler prints
         try:
-            check = ray.remote(cluster.code_on_node).options(num_cpus=0)
-            if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != request.code:
+            check = ray.remote(cluster.version_on_node).options(num_cpus=0)
+            if ray.get(check.remote(), timeout=_CHECK_WITHIN_S) != request.version:
                 raise ClusterError(
                     "its machines have another version of roadperc_stream than this one; install the same version"
                 )

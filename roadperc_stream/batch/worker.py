@@ -141,7 +141,7 @@ def _claimed(task: Task) -> Iterator[Path]:
 
 def _replayed(task: Task, folder: Path, on_progress: Progress) -> Outcome:
     job = task.job
-    _require_same_code(task)
+    _require_same_results(task)
     before = _identities(task)
     paths = _fetched(task, folder)
     target = ReplayTarget(folder / "out.mcap", results_only=job.keep_logs != "whole", force=True)
@@ -209,17 +209,15 @@ def _known_id(task: Task, source: ReplaySource) -> str | None:
     return log_id if log_id in task.known_ids else None
 
 
-def _require_same_code(task: Task) -> None:
-    """Check that this worker has the code of the batch.
+def _require_same_results(task: Task) -> None:
+    """Check that this worker computes the results of the batch.
 
     Raises:
-        StorageError: it has another version of the program.
+        StorageError: its results have another version.
     """
     if task.job.code and task.job.code != RESULTS_VERSION:
-        found = f"{roadperc_stream.__version__}, code {RESULTS_VERSION}"
-        raise StorageError(
-            f"{this_worker()}: found roadperc_stream {found}, expected code {task.job.code}; install the same version"
-        )
+        found = f"roadperc_stream {roadperc_stream.__version__} with results of version {RESULTS_VERSION}"
+        raise StorageError(f"{this_worker()}: found {found}, expected {task.job.code}; install the same version")
 
 
 def _copies_in(task: Task, folder: Path) -> Iterator[Path]:

@@ -90,10 +90,20 @@ def _with_depth(frame: Frame, sensor_m: Float32 | None, matched: StereoDepth | A
     if sensor_m is not None and frame.depth_image is not None:
         return replace(frame, raw_depth_m=sensor_m, depth_limit_m=frame.depth_image.limit_m, depth_source="depth")
     if isinstance(matched, StereoDepth):
-        frame = replace(frame, depth_camera=frame.left_camera, ego_T_depth_camera=frame.ego_T_left)
-        return replace(frame, raw_depth_m=matched.depth_m, depth_source="stereo")
-    frame = replace(frame, depth_camera=frame.camera, ego_T_depth_camera=frame.ego_T_camera)
-    return replace(frame, raw_depth_m=_lidar_depth_m(frame, problems), depth_source="lidar")
+        return replace(
+            frame,
+            depth_camera=frame.left_camera,
+            ego_T_depth_camera=frame.ego_T_left,
+            raw_depth_m=matched.depth_m,
+            depth_source="stereo",
+        )
+    return replace(
+        frame,
+        depth_camera=frame.camera,
+        ego_T_depth_camera=frame.ego_T_camera,
+        raw_depth_m=_lidar_depth_m(frame, problems),
+        depth_source="lidar",
+    )
 
 
 def _lidar_depth_m(frame: Frame, problems: list[Reason]) -> Float32 | None:

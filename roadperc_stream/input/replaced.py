@@ -189,8 +189,8 @@ def _with_labels(found: Any, labels: Mapping[str, str]) -> Any:
 def replaced(latched: LatchedState, given: LatchedState, reference: str) -> LatchedState:
     """The cameras and transforms with the ``given`` ones; ``reference`` is the role of the frames.
 
-    A camera that the log describes as that of the frames is replaced as that one. Given mountings are below ego; what
-    was connected with the first of their frames stays so.
+    Cameras of the log with the view of the frames' camera are replaced too. Given mountings are below ego; what was
+    connected with the first of their frames stays connected with it.
     """
     before = latched.cameras.get(calibration_role(reference, latched.cameras))
     after = given.cameras.get(own_calibration(reference))

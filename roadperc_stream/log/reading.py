@@ -14,7 +14,7 @@ from roadperc_stream.config import DEFAULT_LIMITS, LimitsConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.log.files import UnitedFiles, united
 from roadperc_stream.log.indexed import IndexedFile
-from roadperc_stream.log.limits import LimitError, require_attachments
+from roadperc_stream.log.limits import ATTACHED, LimitError, require_record
 from roadperc_stream.log.mcap_file import Piece
 from roadperc_stream.log.records import Channel, LogSummary, Message
 from roadperc_stream.log.recovery import Salvage, audited, damage_in
@@ -39,7 +39,7 @@ def summarise(source: AnyLog | Sequence[AnyLog], limits: LimitsConfig = DEFAULT_
         files.append(_summary_of(LogFile.of(one), limits))
         held_bytes += sum(len(attachment.data) for attachment in files[-1].attachments)
         try:
-            require_attachments(held_bytes, limits)
+            require_record(held_bytes, limits, ATTACHED)
         except LimitError as error:
             raise LogError(f"{one}: {error}") from error
     return united(files) if len(files) > 1 else files[0]

@@ -33,7 +33,7 @@ from roadperc_stream.log.damage import (
 )
 from roadperc_stream.log.index import Described, share_channels, summary_of
 from roadperc_stream.log.layout import MAGIC, MESSAGE, NAMES, RECORD, Record
-from roadperc_stream.log.limits import LimitError, require_attachments, require_chunk, require_record
+from roadperc_stream.log.limits import ATTACHED, LimitError, require_chunk, require_record
 from roadperc_stream.log.records import Message
 from roadperc_stream.log.stored import AnyLog, LogFile
 from roadperc_stream.system.time import ns_to_seconds
@@ -91,7 +91,7 @@ class _Search:
         return stated if stated and self._leads_on(start + stated) else 0
 
     def _end(self, start: int) -> tuple[int, bool]:
-        """Return the byte behind a likely record, 0 if it is none, and whether its fields alone make that certain."""
+        """Return the byte behind a likely record, 0 if no record is there, and whether its fields alone prove it."""
         opcode, length = RECORD.unpack_from(self._data, start)
         fields_at, end = start + RECORD.size, start + RECORD.size + length
         if end > len(self._data) or length < layout.LENGTH.size:
@@ -112,7 +112,7 @@ class _Search:
 
 
 def _chunk_bytes(fields: bytes | memoryview) -> int:
-    """Return the length of the whole record that a chunk's first fields state; 0 if they are none of a chunk."""
+    """Return the length of the whole record that a chunk's first fields state; 0 if they are not a chunk's."""
     try:
         head = layout.chunk_head(fields)
     except ValueError:
@@ -208,7 +208,7 @@ class Salvage:
         self._in_data, self._is_sealed, self._is_ended = True, False, False
         self._search: _Search | None = None
         self._doubted: int | None = None
-        """First byte of a record that may be a message with a damaged opcode, if no CRC says that it is none."""
+        """First byte of a record that may be a message with a damaged opcode, unless a CRC proves the opcode."""
         try:
             with self.file.path.open("rb") as stream:
                 self.size_bytes = stream.seek(0, os.SEEK_END)
@@ -395,9 +395,7 @@ class Salvage:
                 self._add_index(record)
             elif record.opcode in layout.PARSED:
                 self._describe(record.opcode, record.body, record.start)
-            elif self._in_data and (
-                self._is_message(record.body) or _chunk_bytes(record.body) == record.end - record.start
-            ):
+            elif self._in_data and (self._is_message(record.body) or _is_chunk(record)):
                 self._doubted = record.start
         except layout.UNREADABLE as error:
             if isinstance(error, LimitError) and record.opcode != Opcode.CHUNK:
@@ -505,7 +503,7 @@ class Salvage:
         """Store the content of a record that is not a message; ``start`` is its first byte, or that of its chunk."""
         if opcode in (Opcode.ATTACHMENT, Opcode.METADATA):  # both are kept in memory
             self._held_bytes += len(body)
-            require_attachments(self._held_bytes, self.limits)
+            require_record(self._held_bytes, self.limits, ATTACHED)
         item = layout.parse(opcode, bytes(body))
         self.described.add(item, in_data=self._in_data)
         if isinstance(item, records.Statistics):

@@ -138,8 +138,10 @@ class Frame:
     def labels_of_depth(self, classes: tuple[str, ...]) -> Image | None:
         """(H, W) ``labels`` at the pixels of ``raw_depth_m``; None without tags or depth."""
         labels = self.labels(classes)
-        if labels is None or self.raw_depth_m is None or self._is_depth_of_camera:
-            return None if self.raw_depth_m is None else labels
+        if labels is None or self.raw_depth_m is None:
+            return None
+        if self._is_depth_of_camera:
+            return labels
         return sample_labels(self.depth_camera, self._camera_T_depth, self.camera, self.raw_depth_m, labels)
 
     @cached_property

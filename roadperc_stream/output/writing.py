@@ -78,11 +78,11 @@ class FrameOutput:
     ``evidence`` is for the findings of the whole replay.
     """
 
-    messages: tuple[tuple[str, bytes], ...]
     row: FrameMetrics
-    times_ms: Mapping[str, float]
-    objects: tuple[ObjectMetrics, ...]
+    objects: tuple[ObjectMetrics, ...] = ()
     evidence: Evidence = field(default_factory=Evidence)
+    messages: tuple[tuple[str, bytes], ...] = ()
+    times_ms: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,10 @@ def _packed(record, length):
     return data if length is None else data[:1] + struct.pack("<Q", length) + data[9:]
 
 
-@pytest.mark.promise("Wrong input of any kind", "The same holds for a log with wrong records")
+@pytest.mark.promise(
+    "Wrong input of any kind",
+    "Logs with wrong records give a result or one error line",
+)
 @examples
 @given(changed_records(), COMMANDS)
 def test_records_of_a_log(data, command):

@@ -57,7 +57,10 @@ def changed_table(draw):
     return stream.getvalue()
 
 
-@pytest.mark.promise("Wrong input of any kind", "The same holds for tables with wrong columns, values and facts")
+@pytest.mark.promise(
+    "Wrong input of any kind",
+    "Tables with wrong columns, values and facts give a result or one error line, and no partial file",
+)
 @examples
 @given(st.data(), COMMANDS)
 def test_columns_of_a_table(data, command):

@@ -61,7 +61,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-LITTLE = FrameOutput((), FrameMetrics("log", 0, 0), {}, ())
+LITTLE = FrameOutput(FrameMetrics("log", 0, 0))
 OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
 
 
