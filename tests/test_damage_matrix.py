@@ -122,7 +122,6 @@ def run(source, name, **options):
     return target, replay(source, target, config=CFG, **options)
 
 
-@pytest.mark.promise("Logs", "Replay and repair with `--recover` recover the same messages and report each gap")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
 def test_replay_and_repair_recover_the_same(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)
@@ -158,7 +157,6 @@ def assert_incomplete_frames_say_so(found, tidy):
     assert len(found) >= STRUCK
 
 
-@pytest.mark.promise("Logs", "Without `--recover`, damage is an error in the replayed part and a warning after it")
 @pytest.mark.parametrize(("writer", "damage"), CASES)
 def test_without_recover_only_the_part_before_the_damage_is_replayed(tmp_path, tidy, writer, damage):
     whole, path = damaged(tmp_path / "a.mcap", writer, damage)

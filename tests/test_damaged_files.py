@@ -61,7 +61,6 @@ def recording(request, tmp_path, monkeypatch):
     return path
 
 
-@pytest.mark.promise("Logs", "A frame that is incomplete because the file is cut has a reason")
 def test_a_frame_cut_by_damage_has_a_reason(recording):
     path, incomplete = recording.with_name("cut.mcap"), 0
     for share in (0.51, 0.57, 0.63, 0.66, 0.72):
@@ -108,7 +107,6 @@ def parts(tmp_path, monkeypatch):
     return files
 
 
-@pytest.mark.promise("Logs", "After a damaged file, only the first frame of the next file is marked")
 def test_a_gap_ends_where_the_next_file_begins(parts):
     target, summary = recovered(parts[0], "out", *parts[1:])
     frames = said(target)

@@ -198,7 +198,6 @@ def test_a_timeout_and_too_little_memory_are_rows_that_are_retried(folder, tmp_p
     assert_as_single(out, slow, tmp_path)
 
 
-@pytest.mark.promise("Crashes", "A log that crashes its worker is a row in `runs.parquet` with the error and its place")
 def test_the_row_of_a_log_that_crashes_its_worker_has_the_error(folder, tmp_path):
     """The server that forks the workers replaces their function."""
     tmp_path.joinpath("sitecustomize.py").write_text(

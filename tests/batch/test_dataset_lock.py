@@ -45,7 +45,6 @@ def store(request, monkeypatch):
     return Location(f"{address}/out")
 
 
-@pytest.mark.promise("Datasets", "A second batch ends with an error that names host, process and start of the first")
 def test_a_second_batch_ends_with_an_error_that_names_the_first(tmp_path):
     out, folder = tmp_path / "out", tmp_path / "in"
     for number in range(2):
@@ -70,7 +69,6 @@ def test_a_plan_needs_no_lock(tmp_path):
         assert batch(out, source, "--dry-run").stdout.startswith(f"replay  {source}: is new\n")
 
 
-@pytest.mark.promise("Datasets", "In an object store the second batch is refused too")
 def test_in_a_store_the_second_batch_is_refused_until_the_first_ends(store):
     with DatasetLock(store):
         me = read(store)
@@ -85,7 +83,6 @@ def test_in_a_store_the_second_batch_is_refused_until_the_first_ends(store):
         assert read(store).token != me.token
 
 
-@pytest.mark.promise("Datasets", "A lock in an object store expires after 2 minutes")
 @pytest.mark.parametrize(("age_s", "is_free"), [(100, False), (-100, False), (121, True), (-121, True)])
 def test_a_lock_in_a_store_is_dead_after_two_minutes(store, age_s, is_free):
     """A time in the future, of a wrong clock, counts in the same way."""
@@ -107,7 +104,6 @@ def test_of_two_batches_at_the_same_moment_the_last_one_has_the_lock(store, monk
     assert read(store).host == "elsewhere"
 
 
-@pytest.mark.promise("Datasets", "A lock in an object store is renewed every 30 s")
 def test_a_lock_in_a_store_is_renewed_in_time(store, monkeypatch):
     assert 3 * dataset_lock.RENEW_EVERY_S < dataset_lock.DEAD_AFTER_S
     monkeypatch.setattr(dataset_lock, "RENEW_EVERY_S", 0.05)
@@ -118,7 +114,6 @@ def test_a_lock_in_a_store_is_renewed_in_time(store, monkeypatch):
         lock.require_held()
 
 
-@pytest.mark.promise("Datasets", "A batch that lost its lock ends and does not write `runs.parquet`")
 def test_a_batch_that_lost_its_lock_ends_and_does_not_write_the_list(tmp_path, store, monkeypatch):
     """As after two minutes without the store."""
     source = write_log(tmp_path / "a.mcap")

@@ -50,10 +50,6 @@ def task(tmp_path, scratch):
     return task_of(write_log(tmp_path / "in" / "a.mcap"), tmp_path / "out", scratch)
 
 
-@pytest.mark.promise(
-    "Temporary files", "A symbolic link, or a folder that others own or can enter, is refused and left unchanged"
-)
-@pytest.mark.promise("Temporary files", "The error says what to do; on a cluster the log's row contains it")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_scratch_folder_that_is_not_private_is_not_used(tmp_path, task, scratch, fault, monkeypatch):
     make_faulty(scratch / NAME, fault, monkeypatch)
@@ -68,7 +64,6 @@ def test_a_scratch_folder_that_is_not_private_is_not_used(tmp_path, task, scratc
     assert below(scratch) == before
 
 
-@pytest.mark.promise("Temporary files", "The folder has mode 700 with any umask")
 @pytest.mark.parametrize("mask", [0, 0o077])
 def test_a_scratch_folder_is_made_for_its_user_alone(task, scratch, mask):
     before = os.umask(mask)
@@ -80,7 +75,6 @@ def test_a_scratch_folder_is_made_for_its_user_alone(task, scratch, mask):
     assert list(scratch.iterdir()) == [scratch / NAME] == list(scratch_of(task).parents)[1:2]
 
 
-@pytest.mark.promise("Temporary files", "For an object store the folder is below `TMPDIR`")
 def test_the_scratch_folder_of_a_store_is_in_the_folder_for_temporary_files(tmp_path, bucket, monkeypatch):
     source = write_log(tmp_path / "in" / "a.mcap")
     with TemporaryDirectory() as short:  # pytest's path is too long for sockets

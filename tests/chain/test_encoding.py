@@ -56,7 +56,6 @@ def packed(plain):
 ARRAY = {"dtype": "<f8", "shape": [1], "elements": b"\0" * 8}
 
 
-@pytest.mark.promise("States", "A damaged or foreign state gives one error")
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
@@ -89,7 +88,6 @@ def test_an_oversized_unpacked_state_is_refused(monkeypatch):
         encode(Thing(1.0, name="x" * 2000))
 
 
-@pytest.mark.promise("States", "Any flipped bit in a state gives one error")
 def test_any_flipped_bit_is_one_error():
     data = encode(Thing(1.5, np.eye(4), (np.zeros(3),), np.zeros(4, np.uint8), "name"))
     for bit in range(8 * len(data)):

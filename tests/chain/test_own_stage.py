@@ -188,9 +188,6 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.promise(
-    "Own stages", "If a stage raises or returns anything unusable, the replay ends with one error and exit code 1"
-)
 @pytest.mark.parametrize(("stage", "message"), HOSTILE.values(), ids=HOSTILE)
 def test_a_failing_stage_is_one_clear_error(stage, message):
     with pytest.raises(StageError, match=message) as caught:
@@ -404,7 +401,6 @@ def test_a_result_does_not_import_code(folder):
         assert offsets(found.log) == [1.0, 2.0]
 
 
-@pytest.mark.promise("Own stages", "Code that cannot be imported is one error and exit code 1")
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [
@@ -462,7 +458,6 @@ def lanes(*_):
 """
 
 
-@pytest.mark.promise("Own stages", "Ctrl-C ends a stage that never returns within two seconds, and no file stays")
 @pytest.mark.parametrize(
     ("words", "forever"),
     [

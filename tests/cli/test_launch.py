@@ -19,7 +19,6 @@ ODD = os.fsdecode(b"bad\xff.mcap")
 FULL = Path("/dev/full")
 
 
-@pytest.mark.promise("Start and end", "Ctrl-C or SIGTERM during the imports gives one line")
 @pytest.mark.parametrize(
     ("command", "code", "number"), [("roadperc-report", 1, signal.SIGINT), ("roadperc-compare", 3, signal.SIGTERM)]
 )
@@ -40,7 +39,6 @@ def test_a_replay_is_done_without_a_reader(tmp_path):
     assert len(list(tmp_path.glob("out.*"))) == 3
 
 
-@pytest.mark.promise("Start and end", "Output to a full device gives one error line")
 @pytest.mark.skipif(not FULL.exists(), reason="no /dev/full on this system")
 def test_output_to_a_full_device_is_one_line():
     with FULL.open("w") as device:

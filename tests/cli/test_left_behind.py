@@ -36,7 +36,6 @@ def ended(folder, command, kill_before, *options):
     return done.returncode, done.stderr
 
 
-@pytest.mark.promise("Temporary files", "The next run of a killed command removes the partial files of the killed one")
 @pytest.mark.parametrize(("command", "kill_before"), [*((name, 1) for name in COMMANDS), ("find", 2)])
 def test_partial_files_of_a_killed_command_are_removed(run, tmp_path, command, kill_before):
     for name, data in run:

@@ -148,7 +148,6 @@ def written(path, topic=None):
     return [(m.channel.topic, m.log_time_ns, m.data) for m in messages if is_result(m.channel)]
 
 
-@pytest.mark.promise("Settings and tables", "Names of logs and folders may hold any character, such as `[`")
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_clip_has_the_results_and_replays_alone(kept, result, capsys, tmp_path, monkeypatch):
     for module in (clips, frame_replay):

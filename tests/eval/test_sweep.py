@@ -224,7 +224,6 @@ def long_logs(tmp_path_factory):
     return [logs.write(folder / f"in{k}.mcap", logs.items(100)) for k in range(2)]
 
 
-@pytest.mark.promise("Start and end", "SIGINT, SIGTERM and SIGHUP end a sweep with one line, exit code 1 and no files")
 @pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, 2), (signal.SIGTERM, 1), (signal.SIGHUP, 1)])
 def test_a_signal_leaves_no_files(long_logs, tmp_path, number, jobs):
     """All processes receive the signal, as with Ctrl-C in a terminal."""

@@ -1,6 +1,5 @@
 """Commands with wrong arguments."""
 
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -36,7 +35,6 @@ VALUES = texts.map(lambda text: text.replace("\0", "0")) | st.sampled_from((
 """Only arguments that a process can have: without a null character."""
 
 
-@pytest.mark.promise("Wrong input of any kind", "Wrong arguments give a result or one error line, and no partial file")
 @examples
 @given(st.sampled_from(GIVEN), VALUES, VALUES)
 @example(("replay out.mcap result.mcap", "--set"), "seed=" + "9" * 5000, "x")

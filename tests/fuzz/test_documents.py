@@ -3,7 +3,6 @@
 import json
 import tomllib
 
-import pytest
 import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
@@ -65,10 +64,6 @@ def dumps(draw):
     return {f"dump/{name.lstrip('/')}": data for name, data in files.items()}
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Wrong folders of frames give a result or one error line, and no partial file",
-)
 @examples
 @given(dumps(), st.sampled_from(("", "--depth float", "--fov 60 --rate 0.5", "--carla 0.9.10 --allow-lossy-tags")))
 def test_a_dump(files, options):
@@ -91,10 +86,6 @@ def toml(draw, tree):
     return draw(damaged(intact))
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Wrong configurations, criteria and lanes give a result or one error line, and no partial file",
-)
 @examples
 @given(toml(tomllib.loads(ReplayConfig().to_toml())))
 def test_a_configuration(text):
@@ -102,10 +93,6 @@ def test_a_configuration(text):
         require_clear_end(folder, "replay", "--print-config", "--config", "mine.toml")
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Wrong configurations, criteria and lanes give a result or one error line, and no partial file",
-)
 @examples
 @given(toml(CRITERIA), st.sampled_from(("check", "compare out.mcap")))
 def test_criteria(text, command):
@@ -113,10 +100,6 @@ def test_criteria(text, command):
         require_clear_end(folder, *command.split(), "out.mcap", "--criteria", "mine.toml")
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Wrong configurations, criteria and lanes give a result or one error line, and no partial file",
-)
 @examples
 @given(st.data(), st.sampled_from(("", "--pair order", "--size 1280x720", "--tusimple lanes.json")))
 def test_true_lanes(data, options):

@@ -4,7 +4,6 @@ import io
 import struct
 from dataclasses import fields, replace
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -24,10 +23,6 @@ WIDTHS = {"id": 16, "schema_id": 16, "channel_id": 16, "sequence": 32, "data_sec
 """Bits of the integers in records; the others have 64."""
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "A log with damaged bytes gives a result or one error line, exit code 0 to 3 and no partial file",
-)
 @examples
 @given(st.data(), COMMANDS)
 def test_bytes_of_a_log(data, command):
@@ -36,7 +31,6 @@ def test_bytes_of_a_log(data, command):
         require_clear_end(folder, *command.split())
 
 
-@pytest.mark.promise("Settings and tables", "A damaged table gives a one-line error")
 @examples
 @given(st.data(), st.sampled_from(("report", "check", "trajectory", "compare out.metrics.parquet")))
 def test_bytes_of_a_table(data, command):
@@ -81,10 +75,6 @@ def _packed(record, length):
     return data if length is None else data[:1] + struct.pack("<Q", length) + data[9:]
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Logs with wrong records give a result or one error line",
-)
 @examples
 @given(changed_records(), COMMANDS)
 def test_records_of_a_log(data, command):

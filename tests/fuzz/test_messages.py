@@ -5,7 +5,6 @@ import struct
 import zlib
 from dataclasses import replace
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -124,10 +123,6 @@ def changed_logs(draw, messages):
     return bases.log_of(messages)
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Wrong messages, channels, times and images give a result or one error line, and no partial file",
-)
 @examples
 @given(st.data(), st.sampled_from(sorted(bases.MESSAGES)), COMMANDS)
 def test_messages_of_a_log(data, base, command):
@@ -135,10 +130,6 @@ def test_messages_of_a_log(data, base, command):
         require_clear_end(folder, *command.split())
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Wrong messages, channels, times and images give a result or one error line, and no partial file",
-)
 @examples
 @given(st.data(), OF_RESULTS)
 def test_messages_of_a_result(data, command):

@@ -4,7 +4,6 @@ import io
 import math
 
 import polars as pl
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -57,10 +56,6 @@ def changed_table(draw):
     return stream.getvalue()
 
 
-@pytest.mark.promise(
-    "Wrong input of any kind",
-    "Tables with wrong columns, values and facts give a result or one error line, and no partial file",
-)
 @examples
 @given(st.data(), COMMANDS)
 def test_columns_of_a_table(data, command):

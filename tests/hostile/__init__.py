@@ -1,1 +1,1 @@
-"""Tests with hostile inputs: the promises of docs/reliability.md."""
+"""Tests with hostile inputs, for the rows of docs/reliability.md."""

@@ -16,7 +16,6 @@ def log(tmp_path_factory):
     return logs.write(tmp_path_factory.mktemp("api") / "in.mcap", logs.items(1))
 
 
-@pytest.mark.promise("Python", "An error names an unknown role")
 def test_an_unknown_role_is_named(log, tmp_path):
     with pytest.raises(ChannelError, match="no role 'imge'; roles: image"):
         next(rp.frames(log, topics={"imge": "/camera/front/image"}))
@@ -38,7 +37,6 @@ def test_numpy_integers_are_accepted(log):
     assert len(list(rp.frames(log, max_frames=np.int64(1)))) == 1
 
 
-@pytest.mark.promise("Python", "A mounting that is not a rotation and a translation is refused")
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -57,7 +55,6 @@ def test_a_mounting_that_is_no_rigid_transform_is_refused(change, words):
         rp.Chain(CAMERA, ego_T_camera=pose)
 
 
-@pytest.mark.promise("Python", "An image of another type than uint8 is refused")
 @pytest.mark.parametrize("kind", [np.int64, np.uint16, np.int8, np.float32, bool, object])
 def test_an_image_of_another_type_is_refused(kind):
     """Although its values are 0 to 255; those of 12 or 16 bits can be dark."""

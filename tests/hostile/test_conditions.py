@@ -32,7 +32,6 @@ READING = (
 )
 
 
-@pytest.mark.promise("Conditions", "A condition reads no file, address or other table")
 @pytest.mark.parametrize("text", READING)
 def test_a_condition_reads_only_columns(table, text, capsys):
     text = text.replace("{file}", str(table.with_name("secret.csv")))
@@ -46,7 +45,6 @@ def test_a_condition_reads_only_columns(table, text, capsys):
         assert SECRET not in err
 
 
-@pytest.mark.promise("Conditions", "Functions that make texts of any length are refused; others work")
 def test_functions_are_those_of_one_row():
     for text in ("lpad(a, 9999999999, 'x')", "rpad(a, 9999999999, 'x')", "repeat(a, 9999999999)", "replace(a, b, c)"):
         with pytest.raises(ValueError, match="no function"):
@@ -62,7 +60,6 @@ def test_functions_are_those_of_one_row():
         assert parsed(text).meta.root_names()
 
 
-@pytest.mark.promise("Conditions", "A condition with many nested or open parts is refused in time")
 @pytest.mark.parametrize("text", ["case when a then " * 50 + "1", "(" * 900, "not " * 200, "a in (" * 150, "-" * 999])
 def test_nested_conditions_take_no_time(text):
     with pytest.raises(ValueError, match=r"expected|unable"):

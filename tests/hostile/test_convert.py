@@ -61,9 +61,6 @@ REPORTED = {
 """The faulty dump, and the converter's exit code and message."""
 
 
-@pytest.mark.promise("Dumps", "The error for a misspelled key of `calibration.json` suggests the nearest known key")
-@pytest.mark.promise("Dumps", "An image of another size is skipped")
-@pytest.mark.promise("Dumps", "File names that mix counts and times are reported")
 @pytest.mark.parametrize(("options", "code", "message"), REPORTED.values(), ids=REPORTED)
 def test_a_mistake_in_a_dump_is_reported(tmp_path, options, code, message):
     done = convert(dump(tmp_path / "dump", **options))
@@ -72,7 +69,6 @@ def test_a_mistake_in_a_dump_is_reported(tmp_path, options, code, message):
         assert len(stamps(tmp_path / "dump")) == 2
 
 
-@pytest.mark.promise("Dumps", "Stamps are found by column name in a table with more columns")
 @pytest.mark.parametrize(
     ("table", "expected"),
     [
@@ -99,7 +95,6 @@ def test_a_table_without_stamps_is_an_error(tmp_path):
         stamps_of_file(path, [1])
 
 
-@pytest.mark.promise("Dumps", "EuRoC's `data.csv` is read")
 def test_the_stamps_of_euroc_are_read(tmp_path):
     folder = dump(tmp_path / "dump")
     (folder / "rgb").rename(folder / "data")
@@ -112,7 +107,6 @@ def test_the_stamps_of_euroc_are_read(tmp_path):
     assert stamps(folder) == [TIME_NS + k * NS_PER_S for k in (1, 2, 3)]
 
 
-@pytest.mark.promise("Dumps", "Unused files with stamps are reported")
 def test_unused_files_with_stamps_are_reported(tmp_path):
     folder = dump(tmp_path / "dump")
     (folder / "metadata.json").write_text('{"1": {"timestamp": 5}}')
@@ -122,7 +116,6 @@ def test_unused_files_with_stamps_are_reported(tmp_path):
     assert "rgb/metadata.json is not used: put stamps into timestamps.txt or timestamps.csv" in done.stdout
 
 
-@pytest.mark.promise("Dumps", "An interrupted `roadperc-render` leaves its target as it was")
 def test_an_interrupted_render_keeps_its_target(tmp_path):
     folder = tmp_path / "dump"
     folder.mkdir()

@@ -60,7 +60,6 @@ READERS = {
 NO_FILE = (ConfigError, DumpError, OSError)
 
 
-@pytest.mark.promise("Dumps", "A pipe, a device or an endless file in place of a file is refused at once")
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
 def test_only_regular_files_are_read(tmp_path, read):
     pipe, endless = tmp_path / "pipe.bin", tmp_path / "endless.bin"
@@ -71,13 +70,11 @@ def test_only_regular_files_are_read(tmp_path, read):
             read(path)
 
 
-@pytest.mark.promise("Dumps", "A pipe, a device or an endless file in place of a file is refused at once")
 def test_a_list_of_logs_is_a_regular_file(tmp_path, capsys):
     code, _, err = outcome(batch.main, capsys, tmp_path / "out", "@/dev/zero")
     assert (code, "a pipe or a device" in err) == (1, True)
 
 
-@pytest.mark.promise("Dumps", "A file above the size of its kind is refused before it is read")
 def test_a_file_is_read_up_to_a_size(tmp_path):
     path = tmp_path / "a.toml"
     with path.open("wb") as file:
@@ -87,7 +84,6 @@ def test_a_file_is_read_up_to_a_size(tmp_path):
             read(path)
 
 
-@pytest.mark.promise("Dumps", "A path that a dataset's file names stays below its folder, links resolved")
 @pytest.mark.parametrize("how", ["parent", "absolute", "link"])
 def test_named_paths_stay_below_the_folder(nuscenes, tmp_path, capsys, how):
     """An image outside the folder is never read."""
@@ -106,7 +102,6 @@ def test_named_paths_stay_below_the_folder(nuscenes, tmp_path, capsys, how):
         assert not (tmp_path / "o.mcap").exists()
 
 
-@pytest.mark.promise("Dumps", "A path that a dataset's file names stays below its folder, links resolved")
 @pytest.mark.parametrize("how", ["parent", "link"])
 def test_labels_of_a_list_stay_below_the_folder(tmp_path, how):
     (tmp_path / "culane" / "list").mkdir(parents=True)
@@ -119,7 +114,6 @@ def test_labels_of_a_list_stay_below_the_folder(tmp_path, how):
         read_list(listed, [name], np.arange(9.0))
 
 
-@pytest.mark.promise("Dumps", "A pose that is a mirror, has a scale or is no rotation is refused")
 @pytest.mark.parametrize("matrix", [np.diag((1, -1, 1)), 2 * np.eye(3), np.zeros((3, 3)), np.diag((-1, -1, -1))])
 def test_poses_are_rotations(dataset, nuscenes, tmp_path, capsys, matrix):
     route = tmp_path / "route"
@@ -139,7 +133,6 @@ def test_poses_are_rotations(dataset, nuscenes, tmp_path, capsys, matrix):
 LARGE = ("-1e308", "1e999", "9223372036854775808", "nan", "9" * 6000)
 
 
-@pytest.mark.promise("Dumps", "A number of any size or length in a dataset is read or refused with one line")
 @pytest.mark.parametrize("word", LARGE, ids=["negative", "infinite", "2^63", "nan", "6000 digits"])
 def test_numbers_have_a_limit(dataset, tmp_path, capsys, word):
     replaced(dataset / "sequences" / "00" / "calib.txt", 2, f"P2: {word} 0 7.5 0 0 8 5.5 0 0 0 1 0")
@@ -159,7 +152,6 @@ def test_numbers_have_a_limit(dataset, tmp_path, capsys, word):
         stamps_of_file(stamps, [1])
 
 
-@pytest.mark.promise("Dumps", "JSON that is nested deeply, and a literal or gzip that expands, give a one-line error")
 @pytest.mark.parametrize(
     ("name", "data"),
     [

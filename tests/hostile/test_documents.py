@@ -28,10 +28,6 @@ TEXTS = {
 }
 
 
-@pytest.mark.promise("Settings and tables", "A configuration with huge numbers or deep nesting gives a one-line error")
-@pytest.mark.promise(
-    "Settings and tables", "A configuration attached to a log or a table is read or refused the same way"
-)
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
 def test_a_configuration_is_read_or_refused_with_one_line(tmp_path, text):
     path, data = tmp_path / "a.toml", text.encode("utf-8", "surrogatepass")
@@ -53,9 +49,6 @@ def table(tmp_path_factory):
     return pl.read_parquet(folder / "out.metrics.parquet")
 
 
-@pytest.mark.promise(
-    "Settings and tables", "An error names a column with a wrong type or with numbers too large to square"
-)
 @pytest.mark.parametrize(
     ("column", "values", "words"),
     [
@@ -82,9 +75,6 @@ def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
     assert run_forked("roadperc-report", path).returncode == 0
 
 
-@pytest.mark.promise("Settings and tables", "A table without facts in its footer is read")
-@pytest.mark.promise("Settings and tables", "A frame without a number gives a one-line error")
-@pytest.mark.promise("Settings and tables", "A frame whose time is infinite gives a one-line error")
 def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
     plain, nameless, endless = (tmp_path / f"{name}.metrics.parquet" for name in ("plain", "nameless", "endless"))
     pq.write_table(table.to_arrow().replace_schema_metadata(None), plain, store_schema=False)
@@ -99,7 +89,6 @@ def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
             assert f"column {column} has rows without a value" in err
 
 
-@pytest.mark.promise("Settings and tables", "A panic in polars gives a one-line error")
 def test_a_panic_in_polars_is_a_table_error():
     def panic(_):
         raise pl.exceptions.PanicException("index out of bounds")

@@ -38,7 +38,6 @@ def ghostscript(tmp_path):
     return started, {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
 
 
-@pytest.mark.promise("Messages", "No image starts a program")
 @pytest.mark.commands
 @pytest.mark.parametrize("command", ["roadperc-replay in.mcap out.mcap --overlay", "roadperc-convert dump out.mcap"])
 def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command):
@@ -63,7 +62,6 @@ def test_the_ghostscript_trap_works(ghostscript, monkeypatch):
     assert started.exists()
 
 
-@pytest.mark.promise("Messages", "Pillow gets an explicit format wherever it opens a file")
 @pytest.mark.parametrize("folder", ["roadperc_stream", "tools", "eval"])
 def test_every_call_of_pillow_names_the_formats(folder):
     calls = [
@@ -75,7 +73,6 @@ def test_every_call_of_pillow_names_the_formats(folder):
     assert [call for call in calls if "formats" not in call[2]] == []
 
 
-@pytest.mark.promise("Messages", "Images other than PNG, JPEG and WebP are refused before a decoder sees them")
 @pytest.mark.parametrize(
     ("fault", "data"),
     {

@@ -35,7 +35,6 @@ CASES = {
 }
 
 
-@pytest.mark.promise("Logs", "A declared size is checked against the file and the limits before memory is allocated")
 @pytest.mark.parametrize("case", CASES)
 def test_declared_sizes_are_not_allocated(tmp_path, case):
     path = tmp_path / "in.mcap"
@@ -53,8 +52,6 @@ MESSAGE = inputs.message(1, 1, bytes(3_000_000))
 IN_A_CHUNK = b"".join((*KNOWN, MESSAGE))
 
 
-@pytest.mark.promise("Logs", "A chunk above `limits.chunk_mb` is refused; the error names the setting")
-@pytest.mark.promise("Logs", "A record above `limits.record_mb` is refused; the error names the setting")
 @pytest.mark.parametrize(
     ("kind", "data"),
     [
@@ -71,7 +68,6 @@ def test_an_error_about_a_limit_names_the_setting(tmp_path, kind, data):
         list(log.read(log.summarise(path, LimitsConfig(**{f"{kind}_mb": 1}))))
 
 
-@pytest.mark.promise("Logs", "Chunks that do not state their size are read")
 @pytest.mark.parametrize("stated", [True, False])
 def test_chunks_without_a_declared_size_are_read(tmp_path, stated):
     """lz4 with and without its size; the size is measured before decompression."""
@@ -85,7 +81,6 @@ def test_chunks_without_a_declared_size_are_read(tmp_path, stated):
         list(log.read(log.summarise(path)))
 
 
-@pytest.mark.promise("Logs", "A chunk with more than a million messages is refused")
 @pytest.mark.parametrize("indexed", [True, False])
 def test_a_chunk_with_too_many_messages_is_refused(tmp_path, monkeypatch, indexed):
     path = tmp_path / "in.mcap"
@@ -102,7 +97,6 @@ def test_a_chunk_with_too_many_messages_is_refused(tmp_path, monkeypatch, indexe
         log.summarise(path)
 
 
-@pytest.mark.promise("Logs", "The limits also hold when a damaged log is recovered")
 def test_the_limits_hold_during_recovery(tmp_path):
     path = tmp_path / "in.mcap"
     bomb = inputs.chunk(inputs.zeros_as_zstd(HUGE), "zstd", size=HUGE)
@@ -114,7 +108,6 @@ def test_the_limits_hold_during_recovery(tmp_path):
     assert "limits.chunk_mb" in salvage.damages[0].words
 
 
-@pytest.mark.promise("Logs", "Any 64-bit time is read, or refused with one line")
 def test_the_largest_64_bit_time_gives_one_line(tmp_path):
     path = tmp_path / "in.mcap"
     path.write_bytes(inputs.file(*KNOWN, inputs.message(1, 2**64 - 1, b"{}"), inputs.message(1, 5, b"{}")))

@@ -38,7 +38,6 @@ def read(kind, schema, data, limits):
     return decode(kind, schema, "protobuf", data, STAMP, Context(limits=limits))
 
 
-@pytest.mark.promise("Messages", "An image above `limits.image_megapixels` is refused before it is decoded")
 @pytest.mark.parametrize("data", [HUGE_PNG, inputs.jpeg_of_size(JPEG, 30_000, 30_000)], ids=["png", "jpeg"])
 def test_the_size_in_a_header_is_checked_before_decoding(data):
     for decoder in (images.decode_bgr, images.decode_grey):
@@ -46,7 +45,6 @@ def test_the_size_in_a_header_is_checked_before_decoding(data):
             decoder(data)
 
 
-@pytest.mark.promise("Messages", "An oversized image is skipped; the frame's other inputs are used")
 def test_an_oversized_image_is_skipped(tmp_path):
     data = inputs.png(30_000, 30_000, mode=3)
     done = replayed(
@@ -57,7 +55,6 @@ def test_an_oversized_image_is_skipped(tmp_path):
     assert "expected limits.image_megapixels 40 at most" in done.stdout
 
 
-@pytest.mark.promise("Messages", "A calibration above `limits.image_megapixels` is refused")
 def test_an_oversized_calibration_is_refused(tmp_path):
     """The depth image of a lidar has the size of the calibration."""
     camera = Camera("camera", 40_000, 40_000, 2e4, 2e4, 2e4, 2e4)
@@ -74,7 +71,6 @@ def test_an_oversized_calibration_is_refused(tmp_path):
     assert "calibration of 40000x40000, 1600 megapixels: expected limits.image_megapixels 40 at most" in done.stderr
 
 
-@pytest.mark.promise("Messages", "Compressed texts and profiles in an image are not expanded beyond the limits")
 def test_compressed_texts_in_an_image_are_not_expanded():
     zeros = zlib.compress(bytes(100_000_000), 9)
     extra = ((b"iCCP", b"x\0\0" + zeros), (b"zTXt", b"c\0\0" + zeros))
@@ -99,8 +95,6 @@ BEYOND = {
 }  # fmt: skip
 
 
-@pytest.mark.promise("Messages", "A message with more detections or points than the limit is skipped")
-@pytest.mark.promise("Messages", "A message above 16 MiB is not read item by item")
 @pytest.mark.parametrize(("message", "limit", "found"), BEYOND.values(), ids=BEYOND)
 def test_a_message_beyond_a_limit_is_skipped(monkeypatch, message, limit, found):
     ((name, most),) = limit.items()
@@ -110,7 +104,6 @@ def test_a_message_beyond_a_limit_is_skipped(monkeypatch, message, limit, found)
         read(*message, LimitsConfig())
 
 
-@pytest.mark.promise("Messages", "Transforms beyond 2000 frames are skipped and reported")
 def test_transforms_beyond_the_limit_are_skipped(monkeypatch):
     """With one edge per message the tree grows up to the limit; further edges are reported once."""
     edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]

@@ -34,7 +34,6 @@ def replayed(tmp_path_factory):
     return source, target
 
 
-@pytest.mark.promise("The terminal", "Text from files is printed with control characters escaped (`system.text.shown`)")
 def test_every_control_character_is_escaped():
     assert shown(EVIL) == SHOWN
     assert shown("straße 車 → ±") == "straße 車 → ±"
@@ -43,7 +42,6 @@ def test_every_control_character_is_escaped():
         assert shown(chr(code)).isprintable()
 
 
-@pytest.mark.promise("The terminal", "A line is cut after 10,000 characters")
 def test_a_long_line_is_cut():
     assert len(shown("x" * 100_000_000)) < 10_100
 
@@ -78,7 +76,6 @@ PRINTED = {
 """Arguments of each command, the text it prints, and its exit code; None if that may be 0 or 1."""
 
 
-@pytest.mark.promise("The terminal", "Every command prints escaped text, in results, errors and usage errors")
 @pytest.mark.parametrize("case", PRINTED)
 def test_every_command_prints_escaped_text(folder, case):
     arguments, names, code = PRINTED[case]
@@ -90,7 +87,6 @@ def test_every_command_prints_escaped_text(folder, case):
         assert "\x1b" not in (folder / "a.html").read_text()
 
 
-@pytest.mark.promise("The terminal", "Names reach Markdown and JUnit files without HTML and control characters")
 def test_names_in_results_for_pages_are_escaped(tmp_path, capsys):
     name = f"<img src=x onerror=alert(1)>&#x202e;{EVIL[:10]}{EVIL[-8:]}"
     table = write(tmp_path / f"{name}.metrics.parquet", [row(k, lane_left_status=name) for k in range(3)])
@@ -123,7 +119,6 @@ sys.exit(run(command))
 """
 
 
-@pytest.mark.promise("The terminal", "Log records of libraries are escaped, whichever handler prints them")
 @pytest.mark.parametrize("handler", ["own handler", "no handler"])
 def test_log_records_of_libraries_are_escaped(handler):
     done = subprocess.run([sys.executable, "-c", LIBRARY, EVIL, handler], check=False, capture_output=True, timeout=60)

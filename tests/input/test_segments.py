@@ -68,7 +68,6 @@ TWICE = {
 }
 
 
-@pytest.mark.promise("Messages", "Copies of images with equal stamps change no result; a note counts them")
 @pytest.mark.parametrize("case", TWICE)
 def test_images_with_the_stamp_of_an_earlier_one_are_left_out(case, drive, tidy, tmp_path):
     messages = TWICE[case](drive)
@@ -167,7 +166,6 @@ CLOCKS = {
 }
 
 
-@pytest.mark.promise("Messages", "No state is cleared without a new segment")
 def test_a_state_is_cleared_if_and_only_if_a_segment_begins(tmp_path):
     cleared = {f"time.{code}" for code, text in TEMPLATES.items() if "state of all stages cleared" in text}
     seen = set()

@@ -28,7 +28,6 @@ def written(path, attachments=(), metadata=()):
     return by_us(path, messages, attachments=attachments, metadata=metadata)
 
 
-@pytest.mark.promise("Logs", "A pipe that is not MCAP is refused at once; an endless one cannot fill the disk")
 def test_a_pipe_without_mcap_is_refused_by_its_first_bytes(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -88,7 +87,6 @@ def message_like(length):
     return (b"\x05" + struct.pack("<Q", 60) + b"\0\0") * (length // 11)
 
 
-@pytest.mark.promise("Logs", "Time to skip bytes that only look like records grows linearly")
 @pytest.mark.parametrize(("junk", "length"), [(chunk_like, 4_000_000), (message_like, 20_000_000)])
 def test_bytes_that_look_like_records_take_linear_time(tmp_path, junk, length):
     path = tmp_path / "junk.mcap"
@@ -136,7 +134,6 @@ def test_overlapping_gaps_are_found():
             assert reason.values == tuple(ns for ns in expected if abs(ns) < float("inf"))
 
 
-@pytest.mark.promise("Logs", "All attachments and metadata together stay below `limits.record_mb`")
 def test_attachments_together_have_a_limit(tmp_path):
     half = [Attachment(name, "x", bytes([k]) * (MIB * 6 // 10)) for k, name in enumerate("ab")]
     one, other = written(tmp_path / "1.mcap", half[:1]), written(tmp_path / "2.mcap", half[1:])

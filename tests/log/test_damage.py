@@ -66,7 +66,6 @@ def is_part(some, of):
     return all(item in rest for item in some)
 
 
-@pytest.mark.promise("Logs", "After any damage every intact message is recovered in order, and nothing is invented")
 @pytest.mark.parametrize("shape", [*CHUNKED, *UNCHUNKED])
 @settings(max_examples=60)
 @given(data=st.data())

@@ -5,7 +5,6 @@ import sys
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
 
 CODE = """
 import sys
@@ -22,7 +21,6 @@ print(rows[1]["c7"], process.num_threads() - before)
 """
 
 
-@pytest.mark.promise("Crashes", "No Arrow thread frees Python memory while a batch ends")
 def test_arrow_threads_do_not_hold_python_bytes(tmp_path):
     """A thread that releases them while the interpreter ends aborts the process, up to Python 3.13."""
     pq.write_table(pa.table({f"c{k}": ["a", "b"] for k in range(45)}), tmp_path / "table.parquet")

@@ -134,7 +134,6 @@ def test_the_fields_of_a_state_match_its_version():
     assert (FORMAT_VERSION, digest) == (11, "1232afc6"), names
 
 
-@pytest.mark.promise("States", "A state contains no caches")
 @pytest.mark.parametrize("kind", [SavedState, Checkpoint, FrameOutput])
 def test_encoded_types_have_no_caches(kind):
     """Private fields, and fields that comparisons ignore, may differ in equal states."""

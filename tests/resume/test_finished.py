@@ -72,7 +72,6 @@ def assert_complete(folder, source, beginning):
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-@pytest.mark.promise("States", "`--resume` of a finished replay exits 0 and changes nothing")
 @pytest.mark.parametrize("beginning", BEGINNINGS)
 @settings(max_examples=3, **ANYHOW)
 @given(made=transforms())
@@ -81,7 +80,6 @@ def test_a_finished_replay_is_complete_with_any_transforms(beginning, made):
         assert_complete(Path(folder), with_transforms(Path(folder) / "in.mcap", made), beginning)
 
 
-@pytest.mark.promise("States", "Lookups in the transform tree do not change the state's bytes")
 @settings(max_examples=20, **ANYHOW)
 @given(made=transforms(), asked=st.lists(st.sampled_from(NAMES), min_size=2, max_size=8))
 def test_lookups_do_not_change_the_bytes_of_a_tree(made, asked):
@@ -103,7 +101,6 @@ def warmed(tmp_path_factory):
     return folder / "out.mcap"
 
 
-@pytest.mark.promise("States", "A state of an older format gives one error that says what to do")
 def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys):
     (data,) = (item.data for item in log.summarise(warmed).attachments if item.name == STATE_ATTACHMENT)
     older = with_attachments(warmed, tmp_path / "older.mcap", **{STATE_ATTACHMENT: older_version(data)})
@@ -112,7 +109,6 @@ def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [older]
 
 
-@pytest.mark.promise("States", "A checkpoint of an older format gives one error that says what to do")
 def test_a_checkpoint_of_an_older_version_is_one_error(tmp_path, capsys):
     source, target = with_transforms(tmp_path / "in.mcap", []), tmp_path / "out.mcap"
     interrupt(source, target, 10)

@@ -49,7 +49,6 @@ CASES = {
 }
 
 
-@pytest.mark.promise("States", "A state with a wrong type, shape or size gives a one-line error")
 @pytest.mark.parametrize("case", CASES)
 def test_a_state_of_a_wrong_type_or_shape_gives_one_line(plain, case):
     change, expected = CASES[case]

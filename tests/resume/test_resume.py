@@ -31,7 +31,6 @@ def stopped(source, tmp_path):
     return target
 
 
-@pytest.mark.promise("States", "Any flipped bit in a checkpoint gives one error")
 @pytest.mark.parametrize("name", ["state", "frames"])
 def test_a_flipped_bit_in_a_checkpoint_gives_one_error(source, stopped, name):
     path, rng = checkpoint_folder(stopped) / name, Random(1)
@@ -48,7 +47,6 @@ def test_a_flipped_bit_in_a_checkpoint_gives_one_error(source, stopped, name):
         replay(source, stopped, CFG, **RESUMED)
 
 
-@pytest.mark.promise("States", "Two replays never write to one checkpoint")
 def test_a_second_replay_of_the_same_output_is_refused(source, tmp_path):
     target = tmp_path / "out.mcap"
     first = subprocess.Popen(commands.words("roadperc-replay", *words(source, target, "--resume", "--quiet")))
@@ -69,7 +67,6 @@ def test_a_second_replay_of_the_same_output_is_refused(source, tmp_path):
     assert not checkpoint_folder(target).exists()
 
 
-@pytest.mark.promise("States", "A symbolic link in place of a checkpoint folder is refused")
 @pytest.mark.parametrize("options", [RESUMED, {}])
 def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
     (tmp_path / "victim").mkdir()
@@ -80,7 +77,6 @@ def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
     assert (tmp_path / "victim" / "frames").read_bytes() == b"theirs"
 
 
-@pytest.mark.promise("States", "A symbolic link in place of a checkpoint file is not followed")
 def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, tmp_path):
     path = checkpoint_folder(stopped) / "frames"
     path.rename(tmp_path / "victim")

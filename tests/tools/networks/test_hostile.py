@@ -55,7 +55,6 @@ def error_of(capsys):
     return line
 
 
-@pytest.mark.promise("Networks", "An ONNX file that cannot be run gives one error with its name")
 @pytest.mark.parametrize(
     ("onnx_bytes", "words"),
     [
@@ -77,7 +76,6 @@ def test_a_model_that_cannot_be_run_is_one_error(tmp_path, capsys, onnx_bytes, w
     assert words in line
 
 
-@pytest.mark.promise("Networks", "A small ONNX file with huge constants or results is one error below 3 GB")
 @pytest.mark.parametrize("onnx_bytes", [EXPANDING, EXPANDING_AT_RUN], ids=["constants", "results"])
 def test_a_model_that_expands_is_one_error(tmp_path, onnx_bytes):
     with subprocess.Popen(commands.words("roadperc-infer", *described(tmp_path, onnx_bytes)), stderr=-1) as process:
@@ -89,7 +87,6 @@ def test_a_model_that_expands_is_one_error(tmp_path, onnx_bytes):
     assert used.ru_maxrss < 3 * 2**20  # KiB
 
 
-@pytest.mark.promise("Networks", "A null character in a file's name, a FIFO or a folder as a model is one error")
 def test_a_model_that_is_no_file_is_one_error(tmp_path, capsys):
     os.mkfifo(tmp_path / "fifo")
     for file, words in (("a\\u0000b", "null"), ("fifo", "expected a file"), (".", "expected a file")):
@@ -97,7 +94,6 @@ def test_a_model_that_is_no_file_is_one_error(tmp_path, capsys):
         assert words in error_of(capsys)
 
 
-@pytest.mark.promise("Networks", "Strides that are missing or do not fit the model are one error")
 @pytest.mark.parametrize("strides", ["", "strides = [0]\n", "strides = [4]\n"])
 def test_wrong_strides_are_one_error(tmp_path, capsys, strides):
     grid = model([node("Reshape", ["image", "shape"], ["y"])], [info("y")], [constant("shape", 1, 64, 6)])
@@ -106,7 +102,6 @@ def test_wrong_strides_are_one_error(tmp_path, capsys, strides):
     assert "strides" in line or "of boxes" in line
 
 
-@pytest.mark.promise("Networks", "A network with random numbers is named after it ran twice on the first image")
 def test_random_numbers_are_told(tmp_path, capsys):
     assert main(described(tmp_path, RANDOM)) == 0
     assert "net.onnx: output y differs between two runs" in capsys.readouterr().err
@@ -114,7 +109,6 @@ def test_random_numbers_are_told(tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.promise("Networks", "Ctrl-C ends a network that never returns within two seconds")
 def test_an_endless_model_can_be_interrupted(tmp_path):
     process = subprocess.Popen(commands.words("roadperc-infer", *described(tmp_path, onnx.endless())), stderr=-1)
     time.sleep(2.5)

@@ -237,7 +237,6 @@ def test_a_stopped_player_answers_requests():
     assert script.player.on_playback_control_request(request(play=False)).current_time == round(1.5 * S)
 
 
-@pytest.mark.promise("The live server", "Only the newest waiting seek reads the log")
 def test_only_the_newest_waiting_seek_reads_the_log():
     seeks = [request(play=False, seek_ns=k * S) for k in (4, 3, 1, 2)]
     once, storm = (Script(log(), {0: WATCH, 1.5: requests, 9: STOP}).run() for requests in (seeks[-1:], seeks))

@@ -120,7 +120,6 @@ def test_pause_seek_and_speed(path):
         viewer.until(lambda: [m for m in viewer.shown() if m.data == b"image 102"])
 
 
-@pytest.mark.promise("The live server", "The server answers while the disk is blocked")
 def test_the_server_answers_while_the_disk_is_blocked(path, monkeypatch):
     """The server has few threads for all viewers, so none of them may wait for the read of a seek."""
     reading, on, ends = Event(), Event(), []
@@ -151,7 +150,6 @@ def test_the_server_answers_while_the_disk_is_blocked(path, monkeypatch):
     assert 1010 * S + 200 in ends
 
 
-@pytest.mark.promise("The live server", "A viewer that seeks 200 times a second does not block a second viewer")
 def test_many_seeks_of_a_viewer_do_not_block_a_second_viewer(path):
     """The first viewer seeks until the second one has its answer, with twenty seeks under way."""
     raging, ended = Event(), Event()
@@ -179,7 +177,6 @@ def test_many_seeks_of_a_viewer_do_not_block_a_second_viewer(path):
         storming.result()
 
 
-@pytest.mark.promise("The live server", "A viewer stays connected while another one sends 3,000 seeks at once")
 @pytest.mark.parametrize("pause_s", [0.0, 0.0002])
 def test_a_flood_of_seeks_closes_no_other_connection(path, pause_s):
     """The SDK closes that of the flood if the requests come faster than it reads them."""
@@ -260,7 +257,6 @@ def test_a_loop_starts_a_new_session_with_new_channels(path):
         assert times == sorted(times)
 
 
-@pytest.mark.promise("The live server", "With `--host`, a note says that other machines can read and control")
 @pytest.mark.parametrize(("host", "is_noted"), [("0.0.0.0", True), ("::", True), ("127.0.0.1", False), ("::1", False)])
 def test_a_note_says_that_other_machines_can_connect(path, host, is_noted, capsys):
     with served(path, host=host):
