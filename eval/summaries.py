@@ -22,7 +22,7 @@ from .configurations import Group
 from .consistency import Consistency, added, consistency_of_run
 from .dataset.keys import LOG
 from .lag import averaged, lag_frames, traces
-from .precision_recall import Score, scores
+from .lanes.precision_recall import Score, scores
 from .report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, TRACED, Quantity
 from .runs import Run, collect
 from .scan import extent, scan, worst_frames

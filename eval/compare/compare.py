@@ -20,11 +20,10 @@ from ..options import Rules
 from ..report_columns import listed
 from ..result_files import ResultFiles
 from ..runs import Run
-from .agreement import same_except_times
-from .comparing import Comparison, compare_runs
-from .display import print_comparison
+from .comparison import compare_runs
+from .fields import same_except_times
 from .pairing import Pairing, logged_runs, pair_runs
-from .results import write_results
+from .summary import print_comparison, write_results
 
 Copy = tuple[Path, Path]
 """A table of the new run, and its place in the base."""
@@ -45,6 +44,56 @@ class CompareOptions:
     exact: bool = False
     other_log: bool = False
     update_reference: bool = False
+
+
+def compare(base: str, new: str | None, options: CompareOptions, files: ResultFiles) -> None:
+    """Print the verdict on a new run, and write it to files for other programs; without ``new`` base is a dataset.
+
+    Raises:
+        RegressionError: the new run is worse, or with ``--exact`` a field differs.
+        RoadpercError: the runs cannot be read, or do not belong together.
+    """
+    path = Path(base)
+    if new and options.update_reference:
+        _require_updatable(base)
+        if not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}"))):
+            _update(_first_copies(path, logged_runs(new)))
+            return
+    with ExitStack() as temporary:
+        if new is None:
+            sides = runs_of_configs(temporary.enter_context(in_a_folder(Dataset(base))), options.configs)
+        else:
+            of_base = _side(base, "--base-config", options.configs[0], temporary)
+            sides = of_base, _side(new, "--new-config", options.configs[1], temporary)
+        pairing = pair_runs(*sides, options.other_log)
+        logs = (path, Path(new)) if new and path.suffix == Path(new).suffix == ".mcap" else None
+        found = compare_runs(pairing, logs, _rules(options))
+        write_results(found, files, exact=options.exact)
+        with optional_output():
+            print_comparison(console_for(sys.stdout), found, full=options.full, all_fields=options.exact)
+    if options.update_reference:
+        _update(_update_copies(path, pairing))
+    elif found.regressions:
+        raise RegressionError(f"worse than the base run: {listed(found.regressions)}")
+    elif options.exact and found.differences:
+        raise RegressionError(f"differs from the base run: {listed(found.differences)}")
+
+
+def _side(argument: str, option: str, config: str | None, temporary: ExitStack) -> tuple[Run, ...]:
+    """The runs of an argument: those of a configuration of a dataset, else all."""
+    dataset = dataset_at(argument)
+    if dataset is None:
+        return logged_runs(argument)
+    return runs_of_config(temporary.enter_context(in_a_folder(dataset)), option, config)
+
+
+def _rules(options: CompareOptions) -> Rules:
+    if options.criteria is None:
+        return options.rules
+    known = effects(options.criteria)
+    relevant = {name: effect.relevant for name, effect in known.items() if effect.relevant is not None}
+    limits = {name: effect.limit for name, effect in known.items() if effect.limit is not None}
+    return replace(options.rules, relevant=relevant, limits=limits)
 
 
 def _require_updatable(base: str) -> None:
@@ -100,58 +149,6 @@ def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
     yield from ((later.path, target.with_name(f"{later.name.replace('/', '-')}{METRICS_SUFFIX}")) for later in others)
 
 
-def compare(base: str, new: str | None, options: CompareOptions, files: ResultFiles) -> None:
-    """Print the verdict on a new run, and write it to files for other programs; without ``new`` base is a dataset.
-
-    Raises:
-        RegressionError: the new run is worse, or with ``--exact`` a field differs.
-        RoadpercError: the runs cannot be read, or do not belong together.
-    """
-    path = Path(base)
-    if options.update_reference:
-        _require_updatable(base)
-        if new and (not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}")))):
-            _update(_first_copies(path, logged_runs(new)))
-            return
-    with ExitStack() as temporary:
-        pairing = pair_runs(*_sides(base, new, options.configs, temporary), options.other_log)
-        logs = (path, Path(new)) if new and path.suffix == Path(new).suffix == ".mcap" else None
-        found = compare_runs(pairing, logs, _rules(options))
-        write_results(found, files, exact=options.exact)
-        with optional_output():
-            print_comparison(console_for(sys.stdout), found, full=options.full, all_fields=options.exact)
-    if options.update_reference:
-        _update(_update_copies(path, pairing))
-    else:
-        _require_no_regression(found, options.exact)
-
-
-def _sides(
-    base: str, new: str | None, configs: tuple[str | None, str | None], temporary: ExitStack
-) -> tuple[tuple[Run, ...], tuple[Run, ...]]:
-    """The base runs and the new runs: of two configurations of a dataset, or of an argument each."""
-    if new is None:
-        return runs_of_configs(temporary.enter_context(in_a_folder(Dataset(base))), configs)
-    of_base = _side(base, "--base-config", configs[0], temporary)
-    return of_base, _side(new, "--new-config", configs[1], temporary)
-
-
-def _side(argument: str, option: str, config: str | None, temporary: ExitStack) -> tuple[Run, ...]:
-    dataset = dataset_at(argument)
-    if dataset is None:
-        return logged_runs(argument)
-    return runs_of_config(temporary.enter_context(in_a_folder(dataset)), option, config)
-
-
-def _rules(options: CompareOptions) -> Rules:
-    if options.criteria is None:
-        return options.rules
-    known = effects(options.criteria)
-    relevant = {name: effect.relevant for name, effect in known.items() if effect.relevant is not None}
-    limits = {name: effect.limit for name, effect in known.items() if effect.limit is not None}
-    return replace(options.rules, relevant=relevant, limits=limits)
-
-
 def _update(copies: Sequence[Copy]) -> None:
     """Copy each table through a partial file, then print a line for each."""
     for source, target in copies:
@@ -161,10 +158,3 @@ def _update(copies: Sequence[Copy]) -> None:
         print_line(f"base: {target} is now {source}")
     if not copies:
         print("base: unchanged, all results are equal")
-
-
-def _require_no_regression(found: Comparison, exact: bool) -> None:
-    if found.regressions:
-        raise RegressionError(f"worse than the base run: {listed(found.regressions)}")
-    if exact and found.differences:
-        raise RegressionError(f"differs from the base run: {listed(found.differences)}")

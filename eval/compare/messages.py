@@ -24,7 +24,7 @@ from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
 from roadperc_stream.schemas.topics import IMAGE_SCHEMA, METRICS_TOPIC, RESULT_PREFIX
 
 from ..options import Rules
-from .agreement import Agreement, Difference, Value, added, distance
+from .fields import Agreement, Difference, Value, added, distance
 
 _MESSAGE: Final = "message"
 """Field name of a message that only one log has."""

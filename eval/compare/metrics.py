@@ -1,23 +1,31 @@
-"""The metrics on which two runs are judged: errors against truth, jitter, states, coverage and times."""
+"""The metrics on which two runs are judged, and their values in the common frames of two runs."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 
 from ..report_columns import JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
+from ..runs import Run, collect, reading
+from ..scan import scan
+from .fields import Overlap
+from .pairing import KEY, NEW, STAMP, RunPair, numbered
 
 COVERAGE_RELEVANT: Final = 0.005
 TIME_RELEVANT: Final = 0.1
 """Smallest relevant change of a time, as a ratio."""
 _SHORTEST_MS: Final = 0.1
 """Shorter times count as this time."""
+_FRAME: Final = "frame"
 _DISTANCE: Final = "object_distance_error_m"
+_OBJECT_COLUMNS: Final = frozenset({_FRAME, "label", "kept", "distance_m", "true_distance_m"})
 _JITTER: Final = "second_difference", "jitter"
 """Part of a derived column's name, and of its metric's."""
 _LABELS: Final = {quantity.column.replace(*_JITTER): quantity.name for quantity in NUMBERS}
@@ -110,7 +118,108 @@ FRAMES: Final = _share("frames.coverage", "frames", pl.lit(value=True))
 """Share of the base's frames that the new run has."""
 
 
-def of_class(label: str) -> Metric:
+def _of_class(label: str) -> Metric:
     """The error of the distances of one class of objects; a table of objects has its values."""
     (whole,) = (metric for metric in METRICS if metric.name == _DISTANCE)
     return replace(whole, name=f"{_DISTANCE}.{label}")
+
+
+@dataclass(frozen=True)
+class LogValues:
+    """A metric's values in the common frames of a pair: (N,) float64 each, the frames' numbers and stamps beside them.
+
+    ``base`` and ``new`` are signed. ``frames`` are the new run's, -1 if unknown.
+    """
+
+    metric: Metric
+    pair: RunPair
+    frames: NDArray[np.int64]
+    stamps_ns: NDArray[np.int64]
+    base: Float
+    new: Float
+
+    @property
+    def judged(self) -> tuple[Float, Float]:
+        """Base and new by which frames are judged, see ``Metric.judged``."""
+        return self.metric.judged(self.base), self.metric.judged(self.new)
+
+    @property
+    def differences(self) -> Float:
+        """New minus base of the judged values, (N,)."""
+        base, new = self.judged
+        return new - base
+
+    @property
+    def rises(self) -> Float:
+        """Amount by which each frame became worse, (N,)."""
+        return self.metric.sign * self.differences
+
+
+def values_of(pairs: Sequence[RunPair], overlaps: Sequence[Overlap]) -> list[list[LogValues]]:
+    """For each metric with a value in any pair, its values in the pairs that have one.
+
+    Raises:
+        TableError: a table's data cannot be read.
+    """
+    joined = [_joined(pair) for pair in pairs]
+    labels = sorted(set[str]().union(*(found for _, found in joined)))
+    every = [[_kept(pair, found) for pair, found in zip(pairs, overlaps, strict=True)]]
+    every += [
+        [_values(metric, pair, table) for pair, (table, _) in zip(pairs, joined, strict=True)]
+        for metric in (*METRICS, *map(_of_class, labels))
+    ]
+    known = ([log for log in logs if log.base.size] for logs in every)
+    return [logs for logs in known if logs]
+
+
+def _joined(pair: RunPair) -> tuple[pl.DataFrame, set[str]]:
+    """The metrics of the common frames, and the classes of objects with known distances in both runs."""
+    (ours, first), (theirs, second) = (_measured(run, pair.by_segment) for run in (pair.base, pair.new))
+    return ours.join(theirs, on=KEY, suffix=NEW).sort(KEY), first & second
+
+
+def _measured(run: Run, by_segment: bool) -> tuple[pl.DataFrame, set[str]]:
+    values = [metric.value.alias(metric.name) for metric in METRICS]
+    frames = collect(numbered(scan(run), by_segment).select(*KEY, _FRAME, *values), run.source_name)
+    classes = _class_errors(run)
+    if classes is None:
+        return frames, set()
+    labels = set(classes.columns) - {_FRAME}
+    named = classes.rename({label: _of_class(label).name for label in labels})
+    return frames.join(named, on=_FRAME, how="left", maintain_order="left"), labels
+
+
+def _class_errors(run: Run) -> pl.DataFrame | None:
+    """Mean absolute error of the distance per frame, a column for each class; None without tables of objects."""
+    parts = []
+    for table in run.tables:
+        if (path := table.objects) is None:
+            continue
+        rows = pl.scan_parquet(path, glob=False)
+        with reading(str(path)):
+            present = rows.collect_schema().names()
+        if not _OBJECT_COLUMNS.issubset(present):
+            continue
+        if table.end_frame is not None:
+            rows = rows.filter(pl.col(_FRAME) < table.end_frame)
+        error = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
+        known = rows.filter(pl.col("kept"), error.is_finite())
+        parts.append(collect(known.group_by(pl.col(_FRAME).cast(pl.Int64), "label").agg(error.mean()), str(path)))
+    whole = pl.concat(parts) if parts else None
+    return whole.pivot("label", index=_FRAME, values="distance_m") if whole is not None and whole.height else None
+
+
+def _values(metric: Metric, pair: RunPair, table: pl.DataFrame) -> LogValues:
+    names = metric.name, metric.name + NEW
+    if not set(names) <= set(table.columns):
+        table = table.head(0).with_columns(pl.lit(0.0).alias(name) for name in names)
+    known = table.select(_FRAME + NEW, STAMP, *names).drop_nulls()
+    base, new = (known[name].cast(pl.Float64).to_numpy() for name in names)
+    return LogValues(metric, pair, known[_FRAME + NEW].to_numpy(), known[STAMP].to_numpy(), base, new)
+
+
+def _kept(pair: RunPair, found: Overlap) -> LogValues:
+    """The base's frames as 1, and whether the new run has them; without their numbers."""
+    unknown = np.full(found.common + found.only_base, -1)
+    kept = np.repeat([1.0, 0.0], found[:2])
+    return LogValues(FRAMES, pair, unknown, unknown, np.ones(unknown.size), kept)

@@ -73,6 +73,20 @@ def logged_runs(argument: str) -> tuple[Run, ...]:
     return tuple(_logged(run, Path(argument)) for run in find_joined([argument]).runs)
 
 
+def _logged(run: Run, argument: Path) -> Run:
+    if not run.frames:
+        raise TableError(f"{run.why_empty}; expected a table with frames")
+    log_ids = []
+    for path in (table.path for table in run.tables if table.rows):
+        column = pl.scan_parquet(path, glob=False).select(pl.col("log_id").cast(pl.String).unique())
+        found = sorted(collect(column, str(path))["log_id"])
+        if len(found) > 1:
+            raise TableError(f"{path}: holds {len(found)} logs ({', '.join(found[:3])}), expected the frames of one")
+        log_ids += found
+    below = run.path.relative_to(argument).as_posix().removesuffix(METRICS_SUFFIX) if argument.is_dir() else run.name
+    return replace(run, log_id="+".join(log_ids), name=below)
+
+
 def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairing:
     """Pair runs by log if each side has one run of the log, else by name. Two single runs always pair.
 
@@ -91,8 +105,7 @@ def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairi
     pairs = tuple(RunPair(run, partners[run.name]) for run in base if run.name in partners)
     if not pairs:
         raise TableError(f"{new[0].path}: no new run has the log or the name of a base run")
-    for pair in pairs:
-        ours, theirs = pair.base, pair.new
+    for ours, theirs in ((pair.base, pair.new) for pair in pairs):
         if ours.log_id != theirs.log_id and not other_log:
             raise TableError(
                 f"{theirs.path}: is of log {theirs.log_id}, expected {ours.log_id} as in {ours.path}; "
@@ -101,6 +114,12 @@ def pair_runs(base: Sequence[Run], new: Sequence[Run], other_log: bool) -> Pairi
     paired = {pair.new.name for pair in pairs}
     missing = tuple(run for run in base if run.name not in partners)
     return Pairing(pairs, missing, tuple(run for run in new if run.name not in paired))
+
+
+def _single_by_log(runs: Sequence[Run]) -> dict[str, Run]:
+    """Runs by log id, without the logs that have several runs."""
+    counts = Counter(run.log_id for run in runs)
+    return {run.log_id: run for run in runs if counts[run.log_id] == 1}
 
 
 def numbered(frame: pl.LazyFrame, by_segment: bool) -> pl.LazyFrame:
@@ -112,23 +131,3 @@ def numbered(frame: pl.LazyFrame, by_segment: bool) -> pl.LazyFrame:
     segments = pl.col(SEGMENT).rank("dense").cast(pl.Int64) if by_segment else pl.lit(0, pl.Int64)
     within = frame.with_columns(segments.alias(_WITHIN))
     return within.with_columns(pl.int_range(pl.len()).over(_WITHIN, STAMP).alias(_NTH))
-
-
-def _logged(run: Run, argument: Path) -> Run:
-    if not run.frames:
-        raise TableError(f"{run.why_empty}; expected a table with frames")
-    log_ids = []
-    for path in (table.path for table in run.tables if table.rows):
-        column = pl.scan_parquet(path, glob=False).select(pl.col("log_id").cast(pl.String).unique())
-        found = sorted(collect(column, str(path))["log_id"])
-        if len(found) > 1:
-            raise TableError(f"{path}: holds {len(found)} logs ({', '.join(found[:3])}), expected the frames of one")
-        log_ids += found
-    below = run.path.relative_to(argument).as_posix().removesuffix(METRICS_SUFFIX) if argument.is_dir() else run.name
-    return replace(run, log_id="+".join(log_ids), name=below)
-
-
-def _single_by_log(runs: Sequence[Run]) -> dict[str, Run]:
-    """Runs by log id, without the logs that have several runs."""
-    counts = Counter(run.log_id for run in runs)
-    return {run.log_id: run for run in runs if counts[run.log_id] == 1}

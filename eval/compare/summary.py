@@ -1,31 +1,123 @@
-"""The verdict of a comparison in a few lines: what became worse and where, what became better."""
+"""Shows a comparison: the verdict in a few lines, on request tables and fields, and files for other programs."""
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from typing import Final
+from itertools import groupby
+from typing import Any, Final, get_args
 
+from rich.console import Console
+
+from roadperc_stream.output.terminal import print_lines, print_table
+from roadperc_stream.output.text_table import TextRow, TextTable, row
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
+from ..configurations import UNKNOWN, short_digest
 from ..frame_commands import view_pair_command
 from ..report_columns import QUALITY, SEEN, listed
-from .agreement import Agreements, Value
-from .comparing import Comparison
+from ..result_files import Case, Outcome, ResultFiles, write_files
+from .bootstrap import LEVEL, MANY_LOGS
+from .comparison import CauseGroup, Comparison
+from .fields import Agreement, Agreements, Value
 from .metrics import Metric
-from .verdicts import CauseGroup, Mark, MarkedStatistic, Place, Statistic, Verdict
+from .verdicts import Mark, MarkedStatistic, Place, Statistic, Verdict
 
 _MOST_GROUPS: Final[dict[Mark, int]] = {"worse": 3, "better": 2}
 """Groups of metrics with a line each; ``--full`` lists all."""
 _MOST_SETTINGS: Final = 4
+_MOST_FIELDS: Final = 10
+"""Differing fields shown without ``--exact``."""
 _MUCH: Final = 0.1
 """Smallest change of a share that is named though it is not judged."""
-TEXT_SHOWN: Final = 48
+_TEXT_SHOWN: Final = 48
 """Characters shown of a text value."""
 _BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p95", "beyond limit", "spread")
+_BOUNDS: Final = f"{LEVEL:.0%} from", "to"
 
 
-def outcome(found: Comparison) -> str:
+def print_comparison(console: Console, found: Comparison, *, full: bool, all_fields: bool) -> None:
+    """Print the verdict in a few lines; with ``full`` also the tables of metrics and times, and fields that differ.
+
+    With ``all_fields`` print every field that differs, else the first ones.
+    """
+    print_lines(console, *summary(found, full=full), unbroken=True)
+    if full:
+        if len(found.pairing.pairs) == 1:
+            (pair,) = found.pairing.pairs
+            for side, run in (("base", pair.base), ("new", pair.new)):
+                config, version = short_digest(run.config_digest), run.version or UNKNOWN
+                identity = f"log {run.log_id}, configuration {config}, version {version}"
+                print_lines(console, *[""] * (side == "base"), f"{side} {run.source_name}: {identity}", unbroken=True)
+        for table in (_metrics_table(found), _times(found)):
+            print_table(console, table)
+    if full or all_fields:
+        print_lines(console, *_fields(found, all_fields=all_fields), unbroken=True)
+
+
+def write_results(found: Comparison, files: ResultFiles, *, exact: bool) -> None:
+    """Write the files for other programs; with ``exact`` also each field as a JUnit case.
+
+    Raises:
+        TargetError: a file cannot be written.
+    """
+    first, *lines = summary(found)
+    markdown = f"Comparison: {first}", lines, [_metrics_table(found)]
+    write_files(files, _as_json(found), markdown, "compare", list(_cases(found, exact=exact)))
+
+
+def _as_json(found: Comparison) -> dict[str, Any]:
+    """The verdict, counts, changed settings, every judged metric with its statistics, and counts of fields."""
+    changed = {line for lines in found.changes for line in lines[1:]}
+    states = Counter(agreement.state for agreement in found.fields.values())
+    return {
+        "verdict": _outcome(found),
+        "counts": {mark: len(found.named(mark)) for mark in get_args(Mark)},
+        "frames": found.frames,
+        "logs": len(found.pairing.pairs),
+        "missing_logs": len(found.pairing.missing),
+        "settings": dict(line.split(" ", 1) for line in sorted(changed)),
+        "metrics": {verdict.metric.name: _metric(verdict) for verdict in found.verdicts if verdict.judged},
+        "fields": {state.replace(" ", "_"): states[state] for state in ("identical", "within tolerance", "differs")},
+    }
+
+
+def _metric(verdict: Verdict) -> dict[str, Any]:
+    metric = verdict.metric
+    statistics = {finding.statistic.replace(" ", "_"): _statistic(finding) for finding in verdict.findings}
+    facts = {"mark": verdict.mark, "unit": metric.unit, "group": metric.group, "frames": verdict.frames}
+    place = {"place": _place(verdict.place)} if verdict.place and verdict.mark == "worse" else {}
+    return {**facts, "relevant": float(f"{verdict.relevant:.6g}"), **statistics, **place}
+
+
+def _statistic(finding: MarkedStatistic) -> dict[str, Any]:
+    known = {"base": finding.base, "new": finding.new, "difference": finding.new - finding.base, "mark": finding.mark}
+    interval = vars(finding.interval) if finding.interval else {}
+    return {**known, **interval, **({"log": finding.log} if finding.log else {})}
+
+
+def _place(place: Place) -> dict[str, Any]:
+    at = {"log": place.pair.name, "frame": place.frame, "stamp_ns": place.stamp_ns}
+    return {**at, "base": place.base, "new": place.new, "command": _command(place)}
+
+
+def _cases(found: Comparison, *, exact: bool) -> Iterator[Case]:
+    """A case for each statistic of a judged metric, for each missing run, and with ``exact`` for each field."""
+    pairs = found.pairing.pairs
+    every = pairs[0].name if len(pairs) == 1 else "all logs"
+    for finding in (finding for verdict in found.verdicts if verdict.judged for finding in verdict.findings):
+        worse, text = finding.mark == "worse", f"{finding.mark}: {_values(finding)}"
+        text += f"\n{_where(finding.metric, finding.place)}" if worse and finding.place else ""
+        result: Outcome = "failed" if worse else "passed"
+        yield Case(finding.log or every, f"{finding.metric.name} {finding.statistic}", result, text)
+    yield from (Case(run.name, "run", "failed", "missing in the new run") for run in found.pairing.missing)
+    for name, agreement in found.fields.items() if exact else ():
+        first = agreement.first
+        text = f"first in frame {first.frame}: {first.base} → {first.new}" if first else agreement.state
+        yield Case(first.run if first else every, f"{name} equal", "failed" if first else "passed", text)
+
+
+def _outcome(found: Comparison) -> str:
     """``worse``, ``better`` or ``no relevant difference``."""
     if found.regressions:
         return "worse"
@@ -60,13 +152,13 @@ def _unjudged(found: Comparison) -> Iterator[str]:
     for column in (quantity.column for quantity in SEEN if quantity.unit == RATIO and quantity.column not in judged):
         change = found.columns.get(column)
         if change is not None and change.first is not None and change.largest >= _MUCH:
-            changed = f"{both(change.first.base, change.first.new)} in frame {change.first.frame}"
+            changed = f"{_both(change.first.base, change.first.new)} in frame {change.first.frame}"
             frames = number(change.differing, "frame")
             yield f"not judged: {column} {changed}, differs in {frames} by up to {change.largest:.3g}"
 
 
 def _verdict(found: Comparison) -> str:
-    result, changed = outcome(found), [*found.groups("worse"), *found.groups("better")]
+    result, changed = _outcome(found), [*found.groups("worse"), *found.groups("better")]
     counts = ", ".join(f"{len(found.named(mark))} {mark}" for mark in _MOST_GROUPS)
     metrics = f"{number(sum(verdict.judged for verdict in found.verdicts), 'metric')} judged, {counts}"
     if found.pairing.missing:
@@ -82,13 +174,13 @@ def _lead(verdict: Verdict) -> MarkedStatistic:
 
 def _sentence(finding: MarkedStatistic, *, interval: bool = True) -> str:
     log = f" of {finding.log}" if finding.log else ""
-    return f"{finding.metric.label}, {finding.statistic}{log} {values(finding, interval=interval)}"
+    return f"{finding.metric.label}, {finding.statistic}{log} {_values(finding, interval=interval)}"
 
 
-def values(finding: MarkedStatistic, *, interval: bool = True) -> str:
+def _values(finding: MarkedStatistic, *, interval: bool = True) -> str:
     """A statistic in both runs with its unit, and its difference with the interval, if it has one."""
-    scale, unit = shown_unit(finding.metric, finding.statistic)
-    shown = both(finding.base * scale, finding.new * scale) + unit
+    scale, unit = _shown_unit(finding.metric, finding.statistic)
+    shown = _both(finding.base * scale, finding.new * scale) + unit
     if finding.interval is None or not interval:
         return shown
     low, high = finding.interval.low * scale, finding.interval.high * scale
@@ -96,14 +188,14 @@ def values(finding: MarkedStatistic, *, interval: bool = True) -> str:
     return f"{shown} ({(finding.new - finding.base) * scale:+.3g}{between})"
 
 
-def shown_unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
+def _shown_unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
     """Factor and name of the printed unit; shares are in percent."""
     if metric.share or statistic == "beyond limit":
         return 100.0, " %"
     return 1.0, "" if metric.unit in UNITLESS else f" {metric.unit}"
 
 
-def both(base: Value, new: Value, digits: tuple[int, int] = (3, 6)) -> str:
+def _both(base: Value, new: Value, digits: tuple[int, int] = (3, 6)) -> str:
     """Both values; with the second number of digits if the first does not show the difference."""
     short, long = ([_text(value, count) for value in (base, new)] for count in digits)
     return " → ".join(short if short[0] != short[1] else long)
@@ -113,17 +205,17 @@ def _text(value: Value, digits: int) -> str:
     if isinstance(value, float):
         return f"{value:.{digits}g}"
     text = "none" if value is None else str(value)
-    return text if len(text) <= TEXT_SHOWN else f"{text[:TEXT_SHOWN]}…"
+    return text if len(text) <= _TEXT_SHOWN else f"{text[:_TEXT_SHOWN]}…"
 
 
-def where(metric: Metric, place: Place) -> str:
+def _where(metric: Metric, place: Place) -> str:
     """The frame, its log, both values, and the command that shows it."""
-    scale, unit = shown_unit(metric, "mean")
-    values_there = both(place.base * scale, place.new * scale) + unit
-    return f"frame {place.frame} of {place.pair.name}, {values_there}: {command(place)}"
+    scale, unit = _shown_unit(metric, "mean")
+    values_there = _both(place.base * scale, place.new * scale) + unit
+    return f"frame {place.frame} of {place.pair.name}, {values_there}: {_command(place)}"
 
 
-def command(place: Place) -> str:
+def _command(place: Place) -> str:
     """The command that shows the frame of both runs."""
     return view_pair_command(place.pair.base, place.pair.new, place.frame)
 
@@ -133,10 +225,10 @@ def _group(group: CauseGroup, mark: Mark, *, full: bool) -> Iterator[str]:
     first, *others = group.verdicts
     lead, mean = _lead(first), first.findings[0]
     also = f" (and {number(len(others), 'other metric')})" if others else ""
-    yield f"{mark}, {group.name}{also}: {_sentence(lead)}{'' if lead is mean else f'; mean {values(mean)}'}"
+    yield f"{mark}, {group.name}{also}: {_sentence(lead)}{'' if lead is mean else f'; mean {_values(mean)}'}"
     place = lead.place or first.place
     if mark == "worse" and place is not None:
-        yield f"  {where(first.metric, place)}"
+        yield f"  {_where(first.metric, place)}"
     if full:
         found = (finding for verdict in group.verdicts for finding in verdict.findings if finding.mark == mark)
         yield from (f"  {_sentence(finding)}" for finding in found)
@@ -173,3 +265,55 @@ def _compared(found: Comparison) -> Iterator[str]:
 def _states(agreements: Agreements) -> str:
     counts = Counter(agreement.state for agreement in agreements.values())
     return f"{counts['identical']} identical, {counts['within tolerance']} within tolerance, {counts['differs']} differ"
+
+
+def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
+    """The first difference of each field that differs, below its frame, in the order of time."""
+    first = [(difference, agreement) for agreement in found.fields.values() if (difference := agreement.first)]
+    differing = sorted(first, key=lambda item: item[0].at)
+    shown = differing if all_fields else differing[:_MOST_FIELDS]
+    are_several = len(found.pairing.pairs) > 1
+    if are_several and shown:
+        yield from ("", "first difference of each field, and its number of frames in all pairs")
+    for (run, stamp_ns, frame), group in groupby(shown, key=lambda item: item[0].at):
+        several = f"{run}: " if are_several else ""
+        yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
+        for difference, agreement in group:
+            values = _both(difference.base, difference.new, (6, 17))
+            yield f"  {difference.place}: {values}, {_largest(agreement)}"
+    if len(shown) < len(differing):
+        yield from ("", f"{len(differing) - len(shown)} more fields differ; pass --exact to list all")
+    within = [f"{n} ({_largest(a)})" for n, a in found.fields.items() if a.state == "within tolerance"]
+    if within:
+        yield from ("", f"within tolerance: {', '.join(within)}")
+
+
+def _largest(agreement: Agreement) -> str:
+    frames = agreement.differing or agreement.within
+    counted = f"in {frames} frame{'s' * (frames > 1)}"
+    return f"{counted}, by up to {agreement.largest:.3g}" if agreement.largest else counted
+
+
+def _metrics_table(found: Comparison) -> TextTable:
+    """The metrics that changed, by mark: means of both runs, and the interval of the difference."""
+    rows: list[TextRow] = []
+    for mark in get_args(Mark):
+        changed = [verdict for verdict in found.named(mark) if verdict.difference]
+        rows += [row(mark)] if changed else []
+        for verdict in changed:
+            bounds = f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"
+            means = f"{verdict.base:.4g}", f"{verdict.new:.4g}"
+            rows.append(row(f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
+    blocks = "whole logs" if len(found.pairing.pairs) >= MANY_LOGS else "blocks of neighbouring frames"
+    notes = (f"intervals: {LEVEL:.0%} for all groups of metrics together, from resampled {blocks}",) if rows else ()
+    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows), notes)
+
+
+def _times(found: Comparison) -> TextTable:
+    """Mean times, and the ratio of the new run's to the base's."""
+    rows = []
+    for verdict in (verdict for verdict in found.verdicts if verdict.metric.timed and verdict.base > 0):
+        changes = verdict.difference, verdict.interval.low, verdict.interval.high
+        ratios = (f"{1 + change / verdict.base:.2f}" for change in changes)
+        rows.append(row(verdict.metric.name, f"{verdict.base:.2f}", f"{verdict.new:.2f}", *ratios))
+    return TextTable("Latency", ("base ms", "new ms", "times", *_BOUNDS), tuple(rows))

@@ -18,7 +18,7 @@ from roadperc_stream.output.text_table import TextRow, TextTable, by_header
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
-from ..compare.comparing import Comparison
+from ..compare.comparison import Comparison
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command

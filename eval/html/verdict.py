@@ -10,7 +10,7 @@ import numpy as np
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
-from ..compare.comparing import Comparison, compare_runs
+from ..compare.comparison import Comparison, compare_runs
 from ..compare.pairing import pair_runs
 from ..compare.verdicts import Mark, Place, Verdict
 from ..options import Rules

@@ -9,7 +9,7 @@ from rich.console import Console
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import TextTable
 
-from ..compare.comparing import compare_runs
+from ..compare.comparison import compare_runs
 from ..compare.pairing import pair_runs
 from ..compare.summary import summary as verdict_lines
 from ..compare.verdicts import Mark

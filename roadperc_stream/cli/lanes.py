@@ -42,7 +42,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parse(parser, argv)
     if not (arguments.tusimple or arguments.truth):
         parser.error("expected --tusimple FILE, --truth FILE, or both")
-    from roadperc_stream.eval.lanes import print_lanes
+    from roadperc_stream.eval.lanes.lanes import print_lanes
 
     options = arguments.tusimple, arguments.truth, arguments.pair, arguments.size
     return run(lambda: print_lanes(arguments.log, *options))

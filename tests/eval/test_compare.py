@@ -137,16 +137,6 @@ def test_frames_that_only_one_run_has(reference, tmp_path, capsys):
     assert compare(capsys, shorter, reference, "--exact")[0] == 1
 
 
-def test_columns_of_a_type_that_no_replay_writes(reference, capsys):
-    kinds = pl.duration(seconds="frame"), pl.struct("frame", "log_id"), pl.col("log_id").cast(pl.Binary)
-    strange = {f"extra{k}": kind for k, kind in enumerate((*kinds, pl.concat_list("frame")))}
-    new = other(reference, **strange)
-    code, text, error = compare(capsys, new, reference, "--exact")
-    assert "extra0: " in text
-    assert (code, error) == (1, "differs from the base run: extra0, extra1, extra2, extra3\n")
-    assert compare(capsys, new, other(new, "c", **strange), "--exact")[0] == 0
-
-
 def test_frames_of_equal_stamps_stay_in_order(tmp_path, capsys):
     rows = [replace(row(k, lane_merged=k), stamp_ns=START_NS + k // 2) for k in range(6)]
     path = write(tmp_path / "a.metrics.parquet", rows)

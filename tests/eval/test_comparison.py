@@ -10,13 +10,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from roadperc_stream.cli.compare import allowance, tolerance
-from roadperc_stream.eval.compare.agreement import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.compare.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
-from roadperc_stream.eval.compare.comparing import compare_runs
-from roadperc_stream.eval.compare.metrics import METRICS
+from roadperc_stream.eval.compare.comparison import compare_runs
+from roadperc_stream.eval.compare.fields import INCOMPARABLE, Agreement, Difference, added, distance
+from roadperc_stream.eval.compare.metrics import METRICS, LogValues
 from roadperc_stream.eval.compare.pairing import RunPair, logged_runs, pair_runs
-from roadperc_stream.eval.compare.tails import tail_findings
-from roadperc_stream.eval.compare.values import LogValues
+from roadperc_stream.eval.compare.verdicts import tail_findings, worst_place
 from roadperc_stream.eval.options import Amount, Rules
 from tests.eval.tables import row, run_of, write
 
@@ -165,7 +164,7 @@ def worse_tails(pair, name, base, new):
     numbers = np.arange(100) + 7
     metric = METRIC[name]
     logs = [LogValues(metric, pair, numbers, numbers, *one) for one in zip(base, new, strict=True)]
-    place = max((found for log in logs if (found := log.place())), key=lambda at: at.new, default=None)
+    place = max((found for log in logs if (found := worst_place(log))), key=lambda at: at.new, default=None)
     found = tail_findings(logs, metric.relevant, metric.limit, 10, place)
     return {one.statistic: one for one in found if one.mark == "worse"}
 

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from roadperc_stream.cli.lanes import main
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.eval.lane_files import LaneFrame, default_rows, open_lanes, read_frames, to_line
-from roadperc_stream.eval.lanes import score_frame
+from roadperc_stream.eval.lanes.lane_files import LaneFrame, default_rows, read_frames, to_line
+from roadperc_stream.eval.lanes.lanes import score_frame
+from roadperc_stream.eval.lanes.run_lanes import open_lanes
 from roadperc_stream.model import Boundary, Lanes
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path

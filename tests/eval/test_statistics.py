@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.eval.lag import averaged, correlations, lag_frames
-from roadperc_stream.eval.precision_recall import scores
+from roadperc_stream.eval.lanes.precision_recall import scores
 from roadperc_stream.eval.statistics import FAN_IN, Sketch, absolute, exactly, quantiles, thinned
 
 SUMS = {"filter_tp": 6, "filter_fp": 2, "filter_fn": 4}

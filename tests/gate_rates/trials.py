@@ -11,7 +11,7 @@ import polars as pl
 
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay
-from roadperc_stream.eval.compare.comparing import compare_runs
+from roadperc_stream.eval.compare.comparison import compare_runs
 from roadperc_stream.eval.compare.pairing import logged_runs, pair_runs
 from roadperc_stream.eval.options import Rules
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX

@@ -12,8 +12,7 @@ from roadperc_stream.config import load_config
 from roadperc_stream.config.loading import load_labels
 from roadperc_stream.errors import ConfigError, DumpError
 from roadperc_stream.eval.criteria import read_criteria
-from roadperc_stream.eval.culane_lists import read_list
-from roadperc_stream.eval.lane_files import LaneFileError, read_frames
+from roadperc_stream.eval.lanes.lane_files import LaneFileError, read_frames, read_list
 from roadperc_stream.tools.carla_dump import json_files
 from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
 from roadperc_stream.tools.carla_dump.camera_info import load_camera_info

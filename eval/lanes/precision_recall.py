@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .report_columns import COUNTED
+from ..report_columns import COUNTED
 
 
 @dataclass(frozen=True)

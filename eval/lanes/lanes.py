@@ -1,7 +1,7 @@
 """Exports a run's lanes as TuSimple's JSON lines, and scores them against true lanes."""
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -16,12 +16,11 @@ from roadperc_stream.schemas.topics import LANES_TOPIC
 from roadperc_stream.system.files import real_path
 from roadperc_stream.system.text import number, whole_number
 
-from . import lane_files
-from .culane_lists import read_list
-from .lane_files import LaneFileError, LaneFrame, RunFrame, RunLanes, image_name
-from .options import LanePairing
+from ..options import LanePairing
+from ..report_columns import listed, percent
+from .lane_files import LaneFileError, LaneFrame, default_rows, image_name, lane_writer, read_frames, read_list
 from .precision_recall import Score
-from .report_columns import listed, percent
+from .run_lanes import RunFrame, RunLanes, lane_frame, open_lanes
 
 NAMED: Final = 10
 """Missing frames that are listed by name."""
@@ -29,6 +28,8 @@ _NO_LANES: Final = f"no frame has a message on {LANES_TOPIC}; lanes need segment
 _EXPECTED_NAMES: Final = (
     "expected names that end in a frame's stamp in ns, or images of a dataset that roadperc-convert converted"
 )
+_Size = tuple[int, int]
+_Write = Callable[[LaneFrame], object]
 
 
 class FrameScore(NamedTuple):
@@ -39,16 +40,52 @@ class FrameScore(NamedTuple):
     has_lanes: bool
 
 
-def by_key(
+def print_lanes(
+    path: Path, target: Path | None, true_lanes: Path | None, pairing: LanePairing, size: _Size | None
+) -> None:
+    """Export a run's lanes, and score them.
+
+    Args:
+        path: the log with results.
+        target: the file to write, if any.
+        true_lanes: the file with true lanes, if any.
+        pairing: pairs true frames with the run's frames by stamp or by order.
+        size: columns and rows of the image of both files' pixels; None for the camera's.
+
+    Raises:
+        LaneFileError: a file is not in TuSimple's or CULane's format, no line of it belongs to the run, or ``target``
+            is ``true_lanes``.
+        RoadpercError: the log cannot be read.
+    """
+    if target and true_lanes and real_path(target) == real_path(true_lanes):
+        raise LaneFileError(f"{target}: is the file with the true lanes; pass another file to write")
+    source = open_lanes(path)
+    if not (source.has_lanes or true_lanes):
+        raise LaneFileError(f"{path}: {_NO_LANES}")
+    size = size or (source.camera.width, source.camera.height)
+    lines = _read_truth(true_lanes, source, size) if true_lanes else []
+    truth, pairing = _by_key(lines, pairing, source.images_ns)
+    with lane_writer(target) as write:
+        parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
+    others = f"left out: {number(len(lines) - len(truth), 'line')} of images that the log does not have"
+    notes = [others] * (len(truth) < len(lines)) + [f"note: {_NO_LANES}"] * (not source.has_lanes)
+    print_parts(console_for(sys.stdout), *parts, *notes)
+
+
+def _read_truth(path: Path, source: RunLanes, size: _Size) -> list[LaneFrame]:
+    """True frames of TuSimple's JSON lines, or of a list of CULane."""
+    if path.suffix.lower() == ".txt":
+        return read_list(path, source.images_ns, default_rows(size[1]))
+    return read_frames(path)
+
+
+def _by_key(
     truth: Sequence[LaneFrame], pairing: LanePairing, images_ns: Mapping[str, int]
 ) -> tuple[dict[int, LaneFrame], LanePairing]:
     """True frames by stamp in ns, or by their order in the file, and which of the two.
 
     If ``images_ns`` has the name of a true frame, it gives the stamps, and other frames are left out. Otherwise the
     stamp is the last component of ``raw_file``.
-
-    Raises:
-        LaneFileError: a ``raw_file`` has no stamp, or the stamp of another line.
     """
     named = [frame for frame in truth if image_name(frame.raw_file) in images_ns]
     if pairing == "order" and not named:
@@ -73,25 +110,52 @@ def _stamp_ns(frame: LaneFrame) -> int:
     return stamp_ns
 
 
-def paired(
-    frames: Iterable[RunFrame], truth: Mapping[int, LaneFrame], pairing: LanePairing
-) -> Iterator[tuple[RunFrame, LaneFrame]]:
-    """A run's frames that have truth, each with its truth, in the run's order.
+def _export(source: RunLanes, size: _Size, write: _Write) -> str:
+    """Write every frame; a line with the number of frames and of frames with lanes."""
+    name, rows = source.summary.path.stem, default_rows(size[1])
+    has_lanes = []
+    for frame in source.frames():
+        found = lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
+        has_lanes.append(bool(found.lanes))
+        write(found)
+    return f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"
 
-    Raises:
-        LaneFileError: with ``order``, the numbers of true frames and of frames in the run differ.
-    """
+
+def _write_and_score(
+    source: RunLanes, truth: Mapping[int, LaneFrame], pairing: LanePairing, size: _Size, write: _Write
+) -> list[str | TextTable]:
+    """Write and score the frames that have truth; the lines and tables to print."""
+    scores: list[FrameScore] = []
+    missing = {true.raw_file: true for true in truth.values()}
+    for frame, true in _paired(source, truth, pairing):
+        found = lane_frame(frame, source.camera, size, true.raw_file, true.rows)
+        write(found)
+        scores.append(score_frame(found, true, size))
+        missing.pop(true.raw_file, None)
+    if not scores:
+        place, run = next(iter(truth.values())).place, source.summary.path
+        why = f"{place}: no line belongs to a frame of {run}; {_EXPECTED_NAMES}"
+        raise LaneFileError(why if source.has_lanes else f"{run}: {_NO_LANES}")
+    # a frame that the run lacks has no lanes
+    scores += [score_frame(LaneFrame(name, true.rows, ()), true, size) for name, true in missing.items()]
+    return _figures(source.summary.path.stem, scores, list(missing))
+
+
+def _paired(
+    source: RunLanes, truth: Mapping[int, LaneFrame], pairing: LanePairing
+) -> Iterator[tuple[RunFrame, LaneFrame]]:
+    """A run's frames that have truth, each with its truth, in the run's order."""
     count = 0
-    for count, frame in enumerate(frames, 1):
+    for count, frame in enumerate(source.frames(), 1):
         key = frame.stamp_ns if pairing == "stamp" else count - 1
         if key in truth:
             yield frame, truth[key]
     if pairing == "order" and count != len(truth):
-        source = next(iter(truth.values())).place.rpartition(":")[0]
-        raise LaneFileError(f"{source}: {len(truth)} lines; expected {count}, one for each frame of the run")
+        path = next(iter(truth.values())).place.rpartition(":")[0]
+        raise LaneFileError(f"{path}: {len(truth)} lines; expected {count}, one for each frame of the run")
 
 
-def score_frame(found: LaneFrame, truth: LaneFrame, size: tuple[int, int]) -> FrameScore:
+def score_frame(found: LaneFrame, truth: LaneFrame, size: _Size) -> FrameScore:
     """Score one frame; thresholds in px scale with the image's width relative to 1280 and 1640 px in the benchmarks.
 
     Args:
@@ -112,80 +176,6 @@ def _polylines(frame: LaneFrame) -> list[Float]:
     """(N, 2) x, y of each lane with two points or more."""
     lanes = (np.column_stack((lane, frame.rows))[np.isfinite(lane)] for lane in frame.lanes)
     return [lane for lane in lanes if len(lane) > 1]
-
-
-def print_lanes(
-    path: Path, target: Path | None, true_lanes: Path | None, pairing: LanePairing, size: tuple[int, int] | None
-) -> None:
-    """Export a run's lanes, and score them.
-
-    Args:
-        path: the log with results.
-        target: the file to write, if any.
-        true_lanes: the file with true lanes, if any.
-        pairing: pairs true frames with the run's frames by stamp or by order.
-        size: columns and rows of the image of both files' pixels; None for the camera's.
-
-    Raises:
-        LaneFileError: a file is not in TuSimple's or CULane's format, no line of it belongs to the run, or ``target``
-            is ``true_lanes``.
-        RoadpercError: the log cannot be read.
-    """
-    if target and true_lanes and real_path(target) == real_path(true_lanes):
-        raise LaneFileError(f"{target}: is the file with the true lanes; pass another file to write")
-    source = lane_files.open_lanes(path)
-    if not (source.has_lanes or true_lanes):
-        raise LaneFileError(f"{path}: {_NO_LANES}")
-    size = size or (source.camera.width, source.camera.height)
-    lines = _read_truth(true_lanes, source, size) if true_lanes else []
-    truth, pairing = by_key(lines, pairing, source.images_ns)
-    with lane_files.lane_writer(target) as write:
-        parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
-    others = f"left out: {number(len(lines) - len(truth), 'line')} of images that the log does not have"
-    notes = [others] * (len(truth) < len(lines)) + [f"note: {_NO_LANES}"] * (not source.has_lanes)
-    print_parts(console_for(sys.stdout), *parts, *notes)
-
-
-def _read_truth(path: Path, source: RunLanes, size: tuple[int, int]) -> list[LaneFrame]:
-    """True frames of TuSimple's JSON lines, or of a list of CULane."""
-    if path.suffix.lower() == ".txt":
-        return read_list(path, source.images_ns, lane_files.default_rows(size[1]))
-    return lane_files.read_frames(path)
-
-
-def _export(source: RunLanes, size: tuple[int, int], write: Callable[[LaneFrame], object]) -> str:
-    """Write every frame; a line with the number of frames and of frames with lanes."""
-    name, rows = source.summary.path.stem, lane_files.default_rows(size[1])
-    has_lanes = []
-    for frame in source.frames():
-        found = lane_files.lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
-        has_lanes.append(bool(found.lanes))
-        write(found)
-    return f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"
-
-
-def _write_and_score(
-    source: RunLanes,
-    true_frames: Mapping[int, LaneFrame],
-    pairing: LanePairing,
-    size: tuple[int, int],
-    write: Callable[[LaneFrame], object],
-) -> list[str | TextTable]:
-    """Write and score the frames that have truth; the lines and tables to print."""
-    scores: list[FrameScore] = []
-    missing = {truth.raw_file: truth for truth in true_frames.values()}
-    for frame, truth in paired(source.frames(), true_frames, pairing):
-        found = lane_files.lane_frame(frame, source.camera, size, truth.raw_file, truth.rows)
-        write(found)
-        scores.append(score_frame(found, truth, size))
-        missing.pop(truth.raw_file, None)
-    if not scores:
-        place, run = next(iter(true_frames.values())).place, source.summary.path
-        why = f"{place}: no line belongs to a frame of {run}; {_EXPECTED_NAMES}"
-        raise LaneFileError(why if source.has_lanes else f"{run}: {_NO_LANES}")
-    # a frame that the run lacks has no lanes
-    scores += [score_frame(LaneFrame(name, truth.rows, ()), truth, size) for name, truth in missing.items()]
-    return _figures(source.summary.path.stem, scores, list(missing))
 
 
 def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | TextTable]:

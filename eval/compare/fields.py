@@ -1,4 +1,4 @@
-"""Agreement of the fields of two runs, frame by frame, and of the columns of their tables."""
+"""Agreement of the fields of two runs, frame by frame: of the columns of their tables, and of any two values."""
 
 import math
 from collections import defaultdict
@@ -22,7 +22,6 @@ INCOMPARABLE: Final = math.inf
 """Distance between a value and None, two different texts, or values of two kinds."""
 NOT_COMPARED = (STAMP, "config", *TIME_COLUMNS)
 """Columns that pair the frames, name the configuration, or differ in every replay."""
-_PLAIN: Final = (pl.String, pl.Boolean, pl.Null)
 _REASON: Final = pl.concat_str(
     pl.element().struct.field("source", "code"),
     pl.element().struct.field("values").list.join(" "),
@@ -162,12 +161,9 @@ def _side(joined: pl.DataFrame, name: str) -> pl.Series:
     column = joined[name]
     if column.dtype == written_columns()["reasons"]:
         column = column.list.eval(_REASON)
-    if column.dtype in (pl.List(pl.String), pl.List(pl.Null), pl.List(pl.Float64)):
+    if isinstance(column.dtype, pl.List):
         return column.cast(pl.List(pl.String)).list.join("; ")
-    if column.dtype.is_numeric() or column.dtype in _PLAIN:
-        return column
-    # No replay writes other types, such as durations or structs; polars cannot cast all of them to text.
-    return pl.Series(name, [None if value is None else str(value) for value in column.to_list()], pl.String)
+    return column
 
 
 def _of_one_type(ours: pl.Series, theirs: pl.Series) -> tuple[pl.Series, pl.Series]:
