@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from roadperc_stream.config.settings import BUILT_IN_STAGES, NOT_SET, as_typed, is_about_log, settings_in
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.output.text_table import TextRow, TextTable
+from roadperc_stream.output.text_table import Table, values_of_subjects
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 
 from .runs import Run
@@ -17,6 +17,7 @@ Settings = Mapping[str, Any]
 """Values by keys such as ``lanes.hold_s``."""
 UNKNOWN: Final = "unknown"
 NO_SUCH_SETTING: Final = "-"
+_TITLE: Final = "Settings that differ"
 _DIGITS: Final = 8
 """Digits shown of a configuration's digest."""
 
@@ -98,29 +99,39 @@ def _networks(run: Run) -> str:
     return run.config.rpartition(NETWORKS_COMMENT)[2][:_DIGITS] if NETWORKS_COMMENT in run.config else "none"
 
 
-def settings_table(runs: Mapping[str, Run]) -> TextTable:
+def settings_table(runs: Mapping[str, Run]) -> Table:
     """The settings that differ between runs, by their names in the table; empty for a single configuration."""
+    values, notes = settings_that_differ(runs)
+    return values_of_subjects(_TITLE, values, tuple(runs), notes)
+
+
+def settings_that_differ(runs: Mapping[str, Run]) -> tuple[dict[str, dict[str, str]], tuple[str, ...]]:
+    """The values of the settings that differ between runs, by setting and name; and notes on them."""
     if len({_made_by(run) for run in runs.values()}) < 2:
-        return TextTable("Settings that differ", ("",), ())
+        return {}, ()
     found = {name: settings_of(run) for name, run in runs.items()}
-    rows = rows_that_differ(found)
-    return TextTable("Settings that differ", ("",), rows, tuple(_notes(found, rows)), tuple(runs))
+    values = _differing_values(found)
+    return values, tuple(_notes(found, values))
 
 
-def rows_that_differ(found: Mapping[str, Settings | None]) -> tuple[TextRow, ...]:
-    """A row for each setting that differs, with a cell for each of the settings by their names; None is unknown."""
+def table_of_settings(found: Mapping[str, Settings | None]) -> Table:
+    """The settings that differ; ``found`` has the settings of each subject, None if they are unknown."""
+    return values_of_subjects(_TITLE, _differing_values(found), tuple(found))
+
+
+def _differing_values(found: Mapping[str, Settings | None]) -> dict[str, dict[str, str]]:
     known = {name: settings for name, settings in found.items() if settings is not None}
-    values = {key: dict(zip(known, row, strict=True)) for key, row in differing(list(known.values())).items()}
-    return tuple(TextRow(key, tuple((row.get(name, UNKNOWN),) for name in found)) for key, row in values.items())
+    rows = {key: dict(zip(known, row, strict=True)) for key, row in differing(list(known.values())).items()}
+    return {key: {name: row.get(name, UNKNOWN) for name in found} for key, row in rows.items()}
 
 
-def _notes(found: Mapping[str, Settings | None], rows: Sequence[TextRow]) -> Iterator[str]:
+def _notes(found: Mapping[str, Settings | None], values: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     unknown = [name for name, settings in found.items() if settings is None]
     if unknown:
         yield f"{UNKNOWN}: no configuration in the table: {', '.join(unknown)}"
-    if not rows and len(unknown) < len(found) - 1:
+    if not values and len(unknown) < len(found) - 1:
         yield "none: the versions differ"
-    if any(cells[0] == NO_SUCH_SETTING for row in rows for cells in row.cells):
+    if any(NO_SUCH_SETTING in row.values() for row in values.values()):
         yield f"{NO_SUCH_SETTING}: the version that made the run has no such setting"
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, get_args
 
 from roadperc_stream.errors import RegressionError, TableError
 from roadperc_stream.output.terminal import console_for, print_lines
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number
 
@@ -21,7 +21,7 @@ from ..criteria import DEFAULT_CRITERIA, read_criteria
 from ..dataset.pairs import all_runs, in_a_folder
 from ..dataset.place import DONE, dataset_at, read_runs
 from ..report_columns import listed
-from ..result_files import Case, Outcome, ResultFiles, write_files
+from ..results import Case, Outcome, ResultFiles, Results
 from ..runs import Run
 from .judging import Result, judge
 from .reference_criteria import write_criteria
@@ -143,8 +143,9 @@ def _failure(title: str, results: Sequence[Result]) -> Iterator[str]:
 def _write(found: Check, files: ResultFiles) -> None:
     cases = [Case(result.log, _case(result), result.outcome, _body(result)) for result in found.results]
     cases += [Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs]
-    lines = f"Check: {found.verdict}", list(_lines(found))[1:], [_table(found)]
-    write_files(files, _as_json(found), lines, "check", cases)
+    _, *lines = _lines(found)
+    title = f"Check: {found.verdict}"
+    Results("check", title, lines, [_table(found)], values=_as_json(found), cases=cases).write(files)
 
 
 def _case(result: Result) -> str:
@@ -179,10 +180,10 @@ def _values(result: Result) -> dict[str, Any]:
     return values | reason | ({"worst": vars(result.worst)} if result.worst else {})
 
 
-def _table(found: Check) -> TextTable:
+def _table(found: Check) -> Table:
     rows = [
-        row(result.criterion.title, result.outcome, result.log, result.text, str(result.frames))
+        (result.criterion.title, result.outcome, result.log, result.text, str(result.frames))
         for results in found.by_title.values()
         for result in results
     ]
-    return TextTable("Criterion", ("result", "log", "value and bound", "frames"), tuple(rows))
+    return Table("Criterion", ("result", "log", "value and bound", "frames"), tuple(rows))

@@ -18,7 +18,7 @@ from ..expressions import on_empty_rows, parsed, similar
 from ..findings import finding_lines, findings_of
 from ..frame_commands import view_command
 from ..report_columns import percent
-from ..result_files import Outcome
+from ..results import Outcome
 from ..runs import Run, reading, written_columns
 from ..scan import SEGMENT, before, rows_of, scan
 

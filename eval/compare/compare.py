@@ -18,7 +18,7 @@ from ..dataset.pairs import in_a_folder, runs_of_config, runs_of_configs
 from ..dataset.place import Dataset, dataset_at
 from ..options import Rules
 from ..report_columns import listed
-from ..result_files import ResultFiles
+from ..results import ResultFiles
 from ..runs import Run
 from .comparison import compare_runs
 from .fields import same_except_times

@@ -9,14 +9,14 @@ from typing import Any, Final, get_args
 from rich.console import Console
 
 from roadperc_stream.output.terminal import print_lines, print_table
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import number
 
 from ..configurations import UNKNOWN, short_digest
 from ..frame_commands import view_pair_command
 from ..report_columns import QUALITY, SEEN, listed
-from ..result_files import Case, Outcome, ResultFiles, write_files
+from ..results import Case, Outcome, ResultFiles, Results
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparison import CauseGroup, Comparison
 from .fields import Agreement, Agreements, Value
@@ -62,8 +62,8 @@ def write_results(found: Comparison, files: ResultFiles, *, exact: bool) -> None
         TargetError: a file cannot be written.
     """
     first, *lines = summary(found)
-    markdown = f"Comparison: {first}", lines, [_metrics_table(found)]
-    write_files(files, _as_json(found), markdown, "compare", list(_cases(found, exact=exact)))
+    title, tables, cases = f"Comparison: {first}", [_metrics_table(found)], list(_cases(found, exact=exact))
+    Results("compare", title, lines, tables, values=_as_json(found), cases=cases).write(files)
 
 
 def _as_json(found: Comparison) -> dict[str, Any]:
@@ -294,26 +294,26 @@ def _largest(agreement: Agreement) -> str:
     return f"{counted}, by up to {agreement.largest:.3g}" if agreement.largest else counted
 
 
-def _metrics_table(found: Comparison) -> TextTable:
+def _metrics_table(found: Comparison) -> Table:
     """The metrics that changed, by mark: means of both runs, and the interval of the difference."""
-    rows: list[TextRow] = []
+    rows: list[Row] = []
     for mark in get_args(Mark):
         changed = [verdict for verdict in found.named(mark) if verdict.difference]
-        rows += [row(mark)] if changed else []
+        rows += [(mark,)] if changed else []
         for verdict in changed:
             bounds = f"{verdict.interval.low:+.3g}", f"{verdict.interval.high:+.3g}"
             means = f"{verdict.base:.4g}", f"{verdict.new:.4g}"
-            rows.append(row(f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
+            rows.append((f"  {verdict.metric.name}", str(verdict.frames), *means, *bounds))
     blocks = "whole logs" if len(found.pairing.pairs) >= MANY_LOGS else "blocks of neighbouring frames"
     notes = (f"intervals: {LEVEL:.0%} for all groups of metrics together, from resampled {blocks}",) if rows else ()
-    return TextTable("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows), notes)
+    return Table("Metric", ("frames", "base", "new", *_BOUNDS), tuple(rows), notes)
 
 
-def _times(found: Comparison) -> TextTable:
+def _times(found: Comparison) -> Table:
     """Mean times, and the ratio of the new run's to the base's."""
     rows = []
     for verdict in (verdict for verdict in found.verdicts if verdict.metric.timed and verdict.base > 0):
         changes = verdict.difference, verdict.interval.low, verdict.interval.high
         ratios = (f"{1 + change / verdict.base:.2f}" for change in changes)
-        rows.append(row(verdict.metric.name, f"{verdict.base:.2f}", f"{verdict.new:.2f}", *ratios))
-    return TextTable("Latency", ("base ms", "new ms", "times", *_BOUNDS), tuple(rows))
+        rows.append((verdict.metric.name, f"{verdict.base:.2f}", f"{verdict.new:.2f}", *ratios))
+    return Table("Latency", ("base ms", "new ms", "times", *_BOUNDS), tuple(rows))

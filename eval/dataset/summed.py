@@ -5,9 +5,9 @@ from functools import cached_property
 
 import polars as pl
 
-from roadperc_stream.output.text_table import TextTable
+from roadperc_stream.output.text_table import Table
 
-from ..configurations import Settings, rows_that_differ
+from ..configurations import Settings, table_of_settings
 from ..summaries import Summary
 from .groups import GroupedFrames, group_frames, summaries_of
 from .keys import DEFAULT, in_order_of_runs, log_names, settings_by_config
@@ -53,12 +53,12 @@ class SummedDataset:
         return summaries_of(self.groups, self.names, self.configs)
 
     @property
-    def settings(self) -> TextTable:
+    def settings(self) -> Table:
         """The settings that differ between configurations."""
         return settings_that_differ(settings_by_config(self.runs, self.configs))
 
 
-def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
+def settings_that_differ(known: Mapping[str, Settings | None]) -> Table:
     """The settings and options that differ between configurations.
 
     ``known`` has the non-default settings of each configuration; None if unknown.
@@ -68,4 +68,4 @@ def settings_that_differ(known: Mapping[str, Settings | None]) -> TextTable:
         config: None if settings is None else {key: settings.get(key, DEFAULT) for key in keys}
         for config, settings in known.items()
     }
-    return TextTable("Settings that differ", ("",), rows_that_differ(whole), (), tuple(known))
+    return table_of_settings(whole)

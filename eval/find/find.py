@@ -22,7 +22,7 @@ from ..dataset.reading import metrics_tables
 from ..dataset.worst import LogKey
 from ..frame_commands import view_command, view_dataset_command
 from ..frames import runs_of_keys
-from ..result_files import require_result, write_json
+from ..results import require_result, write_json
 from ..runs import Run
 from ..scan import objects_of, rows_of
 from .events import Clips, Condition, Event, Searched, condition_of, events_of, matches

@@ -6,7 +6,7 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.output.text_table import TextTable, by_header, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import number
 
@@ -18,7 +18,7 @@ from ..dataset.worst import LogKey, key_of, worst_logs
 from ..findings import findings_of_dataset, report_lines
 from ..report.stages import stages_of
 from ..report_columns import Quantity
-from .page import rendered, write_page
+from .page import Links, render, write_page
 from .pictures import shown
 from .verdict import single_sentence, size
 
@@ -68,14 +68,17 @@ def _write(target: Path, local: Dataset, address: str) -> None:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
     lost, bad = _failed_table(failed, several), _worst_table(worst, names, several)
-    tables = [(stages_of(summaries), {}), (found.settings, {}), (lost, failed_links), (bad, links)]
-    _render(target, address, verdicts, tables)
+    _save(target, address, verdicts, stages_of(summaries), [(found.settings, {}), (lost, failed_links), (bad, links)])
 
 
-def _render(
-    target: Path, title: str, verdicts: Sequence[tuple[Mark, str]], tables: Sequence[tuple[TextTable, dict[str, str]]]
+def _save(
+    target: Path,
+    title: str,
+    verdicts: Sequence[tuple[Mark, str]],
+    stages: Table,
+    tables: Sequence[tuple[Table, Links]] = (),
 ) -> None:
-    text = rendered("dataset.html", title=title, verdicts=verdicts, tables=tables, by_header=by_header)
+    text = render([title], verdicts, tables, stages=stages)
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -101,31 +104,31 @@ def _reason(failed: Mapping[str, str | None]) -> str:
     return (failed["error"] or "no reason given").removeprefix(f"{failed['path']}: ")
 
 
-def _failed_table(failed: pl.DataFrame, several: bool) -> TextTable:
+def _failed_table(failed: pl.DataFrame, several: bool) -> Table:
     rows = [
-        row(_name(item["path"], item["config"], several), item["status"], _reason(item))
+        (_name(item["path"], item["config"], several), item["status"], _reason(item))
         for item in failed.iter_rows(named=True)
     ]
-    return TextTable("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
+    return Table("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
 
 
-def _worst_table(worst: BadLogs, names: Mapping[str, str], several: bool) -> TextTable:
+def _worst_table(worst: BadLogs, names: Mapping[str, str], several: bool) -> Table:
     rows = [
-        row(_name(names[log_id], config, several), shown(mean, q), f"{times:.0f}", q.name)
+        (_name(names[log_id], config, several), shown(mean, q), f"{times:.0f}", q.name)
         for (log_id, config), (q, mean, times) in worst.items()
     ]
     notes = ("mean of the absolute values over the log, and its distance from a perfect value in relevant effects",)
-    return TextTable("Worst logs", ("mean", "relevant effects", "metric"), tuple(rows), notes, last_is_text=True)
+    return Table("Worst logs", ("mean", "relevant effects", "metric"), tuple(rows), notes, last_is_text=True)
 
 
 def _write_failed(folder: Path, failed: pl.DataFrame, several: bool) -> dict[str, str]:
     """Write a page with the facts of each failed log; the address of each from the dataset's page."""
     links = {}
     for place, item in enumerate(failed.iter_rows(named=True), 1):
-        facts = [row(name, _fact(item[name])) for name in _FACTS if item.get(name)]
-        table = TextTable("Run", ("value",), tuple(facts), last_is_text=True)
+        facts = [(name, _fact(item[name])) for name in _FACTS if item.get(name)]
+        table = Table("Run", ("value",), tuple(facts), last_is_text=True)
         said = f"{item['status']}: {_reason(item)}"
-        _render(folder / f"failed_{place}.html", item["path"], [("worse", said)], [(table, {})])
+        _save(folder / f"failed_{place}.html", item["path"], [("worse", said)], table)
         links[_name(item["path"], item["config"], several)] = f"{folder.name}/failed_{place}.html"
     return links
 

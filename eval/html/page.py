@@ -14,11 +14,12 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.text_table import TextRow, TextTable, by_header
+from roadperc_stream.output.text_table import Table, values_of_subjects
 from roadperc_stream.system.files import completing, require_suffix
 from roadperc_stream.system.text import shown
 
 from ..compare.comparison import Comparison
+from ..compare.verdicts import Mark
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
@@ -39,14 +40,23 @@ from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sen
 RUNS_DRAWN: Final = 8
 """Most runs on a page; there are as many colours."""
 _NOT_NAMED: Final = "not named"
+_NO_PARTS: Final[dict[str, Any]] = {
+    **dict.fromkeys(("left_out", "compared", "lead", "gallery"), None),
+    **dict.fromkeys(("findings", "bars", "ranked"), ()),
+    "charts": {},
+}
+"""The parts that only a page over runs has."""
+Links = Mapping[str, str]
+"""Addresses by label."""
 _COLUMNS: Final = (*COLUMNS, *POSE_COLUMNS, *SCALE_COLUMNS, *ERROR_COLUMNS)
 
 
-def identity(summaries: Sequence[Summary], runs: Sequence[Run]) -> TextTable:
+def identity(summaries: Sequence[Summary], runs: Sequence[Run]) -> Table:
     """Log, configuration, version, files and extent of each run."""
-    facts = [_facts(summary, run) for summary, run in zip(summaries, runs, strict=True)]
-    rows = tuple(TextRow(label, tuple((fact[label],) for fact in facts)) for label in facts[0])
-    return TextTable("What was replayed", ("",), rows, subjects=tuple(summary.name for summary in summaries))
+    facts = {summary.name: _facts(summary, run) for summary, run in zip(summaries, runs, strict=True)}
+    labels = next(iter(facts.values()))
+    values = {label: {name: of_run[label] for name, of_run in facts.items()} for label in labels}
+    return values_of_subjects("What was replayed", values, list(facts))
 
 
 def _facts(summary: Summary, run: Run) -> dict[str, str]:
@@ -94,7 +104,8 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         verdicts = [("unchanged", f"No comparison: {error}")]
     ranked = ranked_frames([together for _, together in found], WORST)
     lead = _lead(compared, ranked, drawn, command)
-    pictures = gallery([*(item.frame for item in ranked), *lead.frames], drawn, command)
+    shown = [*(item.frame for item in ranked), *(lead.frames if lead else ())]
+    pictures = gallery(shown, drawn, command)
     driven = [paths(run) for run in series]
     charts = {
         "Over time": [*over_time(series), *stage_times(series)],
@@ -102,7 +113,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         "Precision and recall": list(precision_recall(drawn)),
         "Error distributions": list(distributions(series)),
     }
-    return _render(
+    return render(
         names=[run.name for run in drawn],
         left_out=len(runs) - len(drawn),
         findings=report_lines(findings_of(runs)),
@@ -113,11 +124,16 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         lead=lead,
         ranked=[(item, shown_value(item.frame.value, item.quantity)) for item in ranked],
         gallery=pictures,
-        pictures=_pictures(pictures, {(f.run, f.frame) for f in (*lead.frames, *(item.frame for item in ranked))}),
-        overview=[settings_table({run.name: run for run in drawn}), identity(summaries, drawn)],
-        tables=list(full_tables(summaries)),
-        by_header=by_header,
-        charts=charts,
+        pictures=_pictures(pictures, {(frame.run, frame.frame) for frame in shown}),
+        tables=[
+            (table, {})
+            for table in (
+                settings_table({run.name: run for run in drawn}),
+                identity(summaries, drawn),
+                *full_tables(summaries),
+            )
+        ],
+        **_charts(charts),
     )
 
 
@@ -125,16 +141,16 @@ def _page(runs: Sequence[Run], command: Command) -> str:
 class Lead:
     """The worst frame: what is bad in it, its frame in each run, and the command that shows it."""
 
-    text: str = ""
-    frames: tuple[WorstFrame, ...] = ()
-    command: str = ""
+    text: str
+    frames: tuple[WorstFrame, ...]
+    command: str
 
 
-def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead:
+def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead | None:
     """The frame in which the new run is worse by most, in both runs; else the first of the ranking."""
     place = compared.worst_place if compared else None
     if not ranked and not place:
-        return Lead()
+        return None
     if compared and place:
         pair, stamp_ns, text = place.pair, place.stamp_ns, place_text(compared, place)
     else:
@@ -162,28 +178,28 @@ def as_json(content: Any) -> Markup:
     return Markup(json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-def _render(charts: Mapping[str, Sequence[Figure]], **content: Any) -> str:
-    """Render the template; each figure gets an identifier, and sections without figures are left out."""
+def render(
+    names: Sequence[str], verdicts: Sequence[tuple[Mark, str]], tables: Sequence[tuple[Table, Links]], **more: Any
+) -> str:
+    """The page; ``verdicts`` are marks with a line each, and ``tables`` have addresses of other pages by label.
+
+    ``more`` are the parts of the page over runs.
+    """
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
+    )
+    parts = {"style": _part("page.css"), "names": names, "verdicts": verdicts, "tables": tables, **_NO_PARTS, **more}
+    return environment.from_string(_part("page.html")).render(parts)
+
+
+def _charts(charts: Mapping[str, Sequence[Figure]]) -> dict[str, Any]:
+    """The charts for the template: each figure gets an identifier, and sections without figures are left out."""
     numbers = count(1)
     filled = {section: figures for section, figures in charts.items() if figures}
     named = {section: [(f"chart-{next(numbers)}", figure) for figure in figures] for section, figures in filled.items()}
     specs = {name: figure.spec for figures in named.values() for name, figure in figures}
-    return rendered(
-        "page.html",
-        charts=named,
-        specs=as_json(specs),
-        plotly=Markup(get_plotlyjs()),
-        script=_part("page.js"),
-        **content,
-    )
-
-
-def rendered(template: str, **content: Any) -> str:
-    """A template of this folder, with the style of the page."""
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, finalize=_text, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(_part(template)).render(style=_part("page.css"), **content)
+    scripts = {"plotly": Markup(get_plotlyjs()), "script": _part("page.js")}
+    return {"charts": named, "specs": as_json(specs), **scripts}
 
 
 def _text(value: Any) -> Any:

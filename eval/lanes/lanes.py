@@ -11,7 +11,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
 from roadperc_stream.metrics.lanes import Counts, TuSimpleScore, counts_above, line_overlaps, tusimple
 from roadperc_stream.output.terminal import console_for, print_parts
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.topics import LANES_TOPIC
 from roadperc_stream.system.files import real_path
 from roadperc_stream.system.text import number, whole_number
@@ -123,7 +123,7 @@ def _export(source: RunLanes, size: _Size, write: _Write) -> str:
 
 def _write_and_score(
     source: RunLanes, truth: Mapping[int, LaneFrame], pairing: LanePairing, size: _Size, write: _Write
-) -> list[str | TextTable]:
+) -> list[str | Table]:
     """Write and score the frames that have truth; the lines and tables to print."""
     scores: list[FrameScore] = []
     missing = {true.raw_file: true for true in truth.values()}
@@ -178,7 +178,7 @@ def _polylines(frame: LaneFrame) -> list[Float]:
     return [lane for lane in lanes if len(lane) > 1]
 
 
-def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | TextTable]:
+def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | Table]:
     """TuSimple's scores as means over frames and CULane's counts as sums, as in the benchmarks; at least one score.
 
     ``scores`` are of all true frames, including the ``missing`` ones, which the run lacks. TuSimple's limit of
@@ -193,6 +193,6 @@ def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) ->
     return [
         f"{name}: {number(len(scores), 'true frame')}, lanes in {with_lanes} of them ({share} %)",
         *([f"missing in the run, scored as empty: {len(missing)}: {listed(missing, NAMED)}"] if missing else []),
-        TextTable("TuSimple", ("frames %", "accuracy", "FP", "FN"), (row("lane points", share, *points),)),
-        TextTable("CULane", headers, tuple(row(score.name, share, *score.cells(4)) for score in culane)),
+        Table("TuSimple", ("frames %", "accuracy", "FP", "FN"), (("lane points", share, *points),)),
+        Table("CULane", headers, tuple((score.name, share, *score.cells(4)) for score in culane)),
     ]

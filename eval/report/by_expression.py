@@ -7,7 +7,7 @@ from typing import Any, Final
 import polars as pl
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import ObjectMetrics, columns_of
 from roadperc_stream.system.files import OBJECTS_SUFFIX
 from roadperc_stream.system.text import number
@@ -18,10 +18,11 @@ from ..dataset.keys import Key, group_name
 from ..expressions import as_key, key_name, require_roots, roots
 from ..frame_commands import view_command
 from ..report_columns import percent
+from ..results import Results
 from ..runs import Run, collect
 from ..scan import objects_of, rows_of, scanned
 from ..summaries import EXACT_FRAMES, Figures, Summary
-from .short_report import Report, of_summaries
+from .short_report import of_summaries
 from .stages import LISTED, rows_tables
 
 _LOG: Final = "log"
@@ -34,7 +35,7 @@ def of_objects(by: Sequence[str], frame_columns: Iterable[str]) -> bool:
     return any(name in OBJECT_COLUMNS.difference(frame_columns, {_LOG}) for text in by for name in roots(text))
 
 
-def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Report:
+def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Results:
     """The errors in each slice of the frames of runs; by a column of objects, in each slice of the objects.
 
     Raises:
@@ -53,7 +54,7 @@ def slices_of_runs(runs: Sequence[Run], by: Sequence[str]) -> Report:
     found = of_summaries("Slices", "slices", summaries, lambda at: view_command(named[at.run], at.frame))
     frames = number(sum(run.frames for run in runs), "frame")
     heading = f"{frames} in {number(len(summaries), 'slice')} by {', '.join(by)}"
-    return replace(found, head=(heading, *found.head), parts=rows_tables("Slice", summaries))
+    return replace(found, head=(heading, *found.head), tables=rows_tables("Slice", summaries))
 
 
 def _slices(runs: Sequence[Run], by: Sequence[str]) -> list[Summary]:
@@ -77,7 +78,7 @@ def _keyed(run: Run, by: Sequence[str]) -> pl.DataFrame:
     return collect(pl.concat([scanned(rows), keys], how="horizontal").with_columns(config), run.source_name)
 
 
-def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Report:
+def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Results:
     """The errors of the distances of kept detections in each slice, the largest p95 first.
 
     ``rows`` are those of tables of objects, with the name of the log in ``log``; errors name ``source``.
@@ -107,12 +108,12 @@ def object_slices(rows: pl.LazyFrame, by: Sequence[str], source: str) -> Report:
     slices = {group_name(tuple(item[key] for key in keys), by, {}): item for item in found.iter_rows(named=True)}
     note = "median, p95 and worst: absolute error of the distances of kept detections; known %: those with a distance"
     more = (f"listed: the worst {LISTED} of {len(slices)}",) if len(slices) > LISTED else ()
-    shown = [row(name, *_object_cells(item)) for name, item in list(slices.items())[:LISTED]]
+    shown = [(name, *_object_cells(item)) for name, item in list(slices.items())[:LISTED]]
     headers = ("objects", "frames", "known %", "median m", "p95 m", "worst m")
     heading = f"{sum(item['objects'] for item in slices.values())} objects by {', '.join(by)}"
-    table = TextTable("Slice", headers, tuple(shown), (note, *more), label_columns=15)
+    table = Table("Slice", headers, tuple(shown), (note, *more), label_columns=15)
     numbers = {name: {k: v for k, v in item.items() if k not in keys} for name, item in slices.items()}
-    return Report("Slices of objects", (heading,), (table,), (), {"slices": numbers})
+    return Results("report", "Slices of objects", (heading,), (table,), (), {"slices": numbers})
 
 
 def _object_cells(item: dict[str, Any]) -> Iterator[str]:

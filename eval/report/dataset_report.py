@@ -12,7 +12,8 @@ from rich.console import Console
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import print_lines
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row as TableRow
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.system.text import number
 from roadperc_stream.system.time import NS_PER_S
 
@@ -35,11 +36,12 @@ from ..findings import findings_of_dataset
 from ..frame_commands import view_dataset_command
 from ..options import ReportOptions
 from ..report_columns import Quantity, legend, listed, percent, rounded, short_names
+from ..results import Results
 from ..summaries import Summary
 from .by_expression import object_slices, of_objects
 from .full_tables import LISTED, full_tables
 from .run_report import inputs, precision
-from .short_report import Report, of_summaries, with_findings
+from .short_report import of_summaries, with_findings
 from .stages import judged_stages, rows_tables, stage_figures, with_unit
 
 FAILED_LISTED: Final = 20
@@ -73,7 +75,7 @@ def _statuses(runs: pl.DataFrame, most: int) -> Iterator[str]:
         yield f"  and {logs.height - most} more, in runs.parquet"
 
 
-def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tuple[str, ...]) -> TextTable:
+def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tuple[str, ...]) -> Table:
     """A row for each group: numbers of logs and frames, the time of whole logs, and frames with all inputs."""
     whole = found.by.of_whole_logs
     headers = ("logs", "frames", *(["log time"] if whole else []), "inputs %")
@@ -83,7 +85,7 @@ def groups_table(summaries: Sequence[Summary], found: GroupedFrames, notes: tupl
     if any(len(summary.configs) > 1 for summary in summaries):
         separate = ",".join((*found.by.as_options, "config"))
         notes += (f"groups include several configurations; pass --by {separate} to separate them",)
-    return TextTable(f"By {', '.join(found.by.as_options)}", headers, rows, notes, label_columns=15)
+    return Table(f"By {', '.join(found.by.as_options)}", headers, rows, notes, label_columns=15)
 
 
 def log_time(span_s: float) -> str:
@@ -91,44 +93,44 @@ def log_time(span_s: float) -> str:
     return f"{span_s / _HOUR_S:.2f} h" if span_s >= _HOUR_S else f"{span_s:.2f} s"
 
 
-def _group(summary: Summary, whole: bool) -> TextRow:
+def _group(summary: Summary, whole: bool) -> TableRow:
     extent = [log_time(summary.span_s)] if whole else []
     complete = percent(1 - summary.incomplete / summary.frames)
-    return row(summary.name, str(len(summary.log_ids)), str(summary.frames), *extent, complete)
+    return (summary.name, str(len(summary.log_ids)), str(summary.frames), *extent, complete)
 
 
-def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[LogKey, str]) -> TextTable:
+def worst_logs_table(worst: Mapping[Quantity, Sequence[Row]], names: Mapping[LogKey, str]) -> Table:
     """The worst logs by each quantity, and the frames to look at in each."""
-    rows: list[TextRow] = []
+    rows: list[TableRow] = []
     for quantity, logs in worst.items():
-        rows.append(row(quantity.column))
+        rows.append((quantity.column,))
         for item in logs:
             values = (rounded(value, quantity) for value in (item["mean"], item["at"][0]["value"]))
             frames = ", ".join(f"{at['frame']}({at['since_start_s']:.2f}s)" for at in item["at"])
-            rows.append(row(f"  {names[key_of(item)]}", *values, percent(item["share"]), frames))
+            rows.append((f"  {names[key_of(item)]}", *values, percent(item["share"]), frames))
     notes = (
         "each log under its worst configuration; mean of the absolute error",
         "frames to look at: the worst first, in brackets s from the log's first frame",
     )
     headers = ("mean", "worst", "frames %", "frames to look at")
-    return TextTable("Worst logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15)
+    return Table("Worst logs", headers, tuple(rows), notes if rows else (), last_is_text=True, label_columns=15)
 
 
-def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKey, str]) -> TextTable:
+def least_covered_table(worst: Mapping[str, Sequence[Row]], names: Mapping[LogKey, str]) -> Table:
     """The logs in which the fewest frames have an output, and the longest stretch without it in each."""
-    rows: list[TextRow] = []
+    rows: list[TableRow] = []
     for output, logs in worst.items():
-        rows.append(row(output))
+        rows.append((output,))
         for item in logs:
             first, last = item["at"]["first"], item["at"]["last"]
             stretch = f"{first['frame']}-{last['frame']} ({first['since_start_s']:.2f}-{last['since_start_s']:.2f} s)"
-            rows.append(row(f"  {names[key_of(item)]}", percent(item["share"]), stretch))
+            rows.append((f"  {names[key_of(item)]}", percent(item["share"]), stretch))
     notes = (
         "without: the longest stretch of frames, in brackets seconds from the log's first frame",
         "outputs that a configuration never has are left out",
     )
     headers, shown = ("frames %", "without"), notes if rows else ()
-    return TextTable("Least covered logs", headers, tuple(rows), shown, last_is_text=True, label_columns=15)
+    return Table("Least covered logs", headers, tuple(rows), shown, last_is_text=True, label_columns=15)
 
 
 def log_paths(log_ids: Iterable[str], names: Mapping[str, str], runs: pl.DataFrame) -> Iterator[str]:
@@ -187,7 +189,7 @@ class DatasetReport:
 
         write_dataset_page(path, self._dataset)
 
-    def short(self) -> Report:
+    def short(self) -> Results:
         """The stages of one group, or a row for each; then the worst log by each error; or slices of objects."""
         by = self._options.by
         if self._by_objects:
@@ -196,13 +198,13 @@ class DatasetReport:
             found = self._of_groups()
         return with_findings(found, self._findings)
 
-    def full(self) -> Report:
+    def full(self) -> Results:
         """All tables."""
         if self._by_objects:
             return self.short()
         worst, paths = self._worst_logs()
         parts = (self._summed.settings, *self._groups(), *worst)
-        found = Report("Report", self._head(FAILED_LISTED), parts, ("", *paths))
+        found = Results("report", "Report", self._head(FAILED_LISTED), parts, ("", *paths))
         return with_findings(found, self._findings)
 
     @property
@@ -214,7 +216,7 @@ class DatasetReport:
         logs = self._summed.logs
         return (_contents(self._dataset, logs), *_statuses(self._runs, failed), *not_listed(self._runs, logs))
 
-    def _of_groups(self) -> Report:
+    def _of_groups(self) -> Results:
         summaries, logs = self._summed.summaries, self._summed.logs
         short = _short([summary.name for summary in summaries], self._summed.groups.by.columns, _NAME_COLUMNS)
         found = of_summaries("Report", "groups", summaries, lambda _: "")
@@ -229,16 +231,16 @@ class DatasetReport:
             lines.append(f"worst log: {with_unit(abs(at['value']), quantity)}: {command}")
         note = () if self._runs.height else ("no runs.parquet: failed logs are unknown",)
         renamed = [replace(summary, name=short[summary.name]) for summary in summaries]
-        tables = found.parts if len(summaries) == 1 else rows_tables("Group", renamed)
+        tables = found.tables if len(summaries) == 1 else rows_tables("Group", renamed)
         return replace(
             found,
             head=(*self._head(_FEW), *found.head),
-            parts=(self._summed.settings, *tables),
+            tables=(self._summed.settings, *tables),
             tail=(*legend(short), *lines, *found.tail, *note, _MORE),
             values={**found.values, "worst_logs": values},
         )
 
-    def _groups(self) -> Iterator[str | TextTable]:
+    def _groups(self) -> Iterator[str | Table]:
         summaries, by = self._summed.summaries, self._summed.groups.by.columns
         names = _short([summary.name for summary in summaries], by, self._width - _NUMBER_COLUMNS)
         renamed = [replace(summary, name=names[summary.name]) for summary in summaries]
@@ -252,7 +254,7 @@ class DatasetReport:
         if len(renamed) > LISTED:
             yield f"by group: at most {LISTED} of {len(renamed)} per row, those with the worst p95"
 
-    def _worst_logs(self) -> tuple[tuple[TextTable, TextTable], Iterator[str]]:
+    def _worst_logs(self) -> tuple[tuple[Table, Table], Iterator[str]]:
         """The tables of the worst logs, and the paths of these logs."""
         logs, names = self._summed.logs, self._summed.names
         by_quantity, by_coverage = worst_logs(logs, self._options.worst)

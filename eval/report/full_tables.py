@@ -1,18 +1,18 @@
 """The tables of a report over one summary, or over several side by side."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain, islice
 from typing import Final
 
 from roadperc_stream.model import ReasonKind
 from roadperc_stream.output.reason_counts import merged
 from roadperc_stream.output.reason_counts import ranked as ranked_reasons
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row, Table, rows_of_subjects
 
 from ..compare.bootstrap import LEVEL
-from ..consistency import JUDGED, Consistency
+from ..consistency import JUDGED
 from ..report_columns import (
     CATEGORIES,
     CONFUSED,
@@ -42,6 +42,8 @@ LISTED: Final = 12
 """Runs or configurations per row; if there are more, those with the worst p95 are listed."""
 Summaries = Sequence[Summary]
 """The subjects of a table: runs or pooled runs, side by side."""
+Cells = Mapping[str, Sequence[str]]
+"""The cells of a row by subject."""
 _STATUSES: Final = ("measured", "held", "lost")
 _LANE_COLUMNS: Final = "columns: lane_left_status, lane_left_offset_m, lane_left_raw_offset_m; the same for right"
 _JITTER: Final = "jitter: standard deviation of the offset's second difference, smoothed and raw"
@@ -59,7 +61,7 @@ _SECONDS: Final = "s: seconds from the log's first frame"
 _SEGMENTS: Final = "a segment starts at the time at which the previous one ended"
 
 
-def full_tables(summaries: Summaries) -> Iterator[TextTable]:
+def full_tables(summaries: Summaries) -> Iterator[Table]:
     """All tables in their order, including those without rows."""
     tables = (
         coverage,
@@ -74,94 +76,97 @@ def full_tables(summaries: Summaries) -> Iterator[TextTable]:
     return (table(summaries) for table in tables)
 
 
-def coverage(summaries: Summaries) -> TextTable:
+def coverage(summaries: Summaries) -> Table:
     """Coverage and typical values of the outputs, without truth; a note names the columns without values."""
-    rows = [
-        *_states(summaries, "surface_source"),
-        *_states(summaries, "surface_model"),
-        *_states(summaries, "odometry_status"),
-        *_quantities(summaries, SEEN, _typical),
-    ]
+    states = (_states(summaries, column) for column in ("surface_source", "surface_model", "odometry_status"))
+    rows = dict(chain(chain.from_iterable(states), _quantities(summaries, SEEN, _typical)))
     absent = no_values(summaries)
     notes = (f"no values: {absent}",) if absent else ()
-    return _table("Coverage", ("frames %", "p5", "median", "p95"), rows, summaries, notes)
+    about = {quantity.column: quantity.label for quantity in SEEN}
+    return _table("Coverage", ("frames %", "p5", "median", "p95"), rows, summaries, notes, about=about)
 
 
-def lane_boundaries(summaries: Summaries) -> TextTable:
+def lane_boundaries(summaries: Summaries) -> Table:
     """Per side: shares of measured, held and lost, the offset, and its jitter, smoothed and raw."""
     present = any(summary.categories[f"lane_{side}_status"] for summary in summaries for side in SIDES)
-    rows = [TextRow(side, tuple(_boundary(summary, side) for summary in summaries)) for side in SIDES if present]
+    rows = {side: _first(summaries, partial(_boundary, side=side)) for side in SIDES if present}
     lag = any(summary.correlations for summary in summaries)
     notes = (_LANE_COLUMNS, _JITTER, *([_LAG] if lag else []), *_remarks(summaries, _beyond_lanes)) if present else ()
     headers = (*(f"{status} %" for status in _STATUSES), "offset m", "jitter cm", "raw cm", *(["lag"] if lag else []))
     return _table("Lane boundary", headers, rows, summaries, notes, label_columns=13)
 
 
-def boundary_classes(summaries: Summaries) -> TextTable:
+def boundary_classes(summaries: Summaries) -> Table:
     """Confusion of the classes beyond the boundaries: a row for each true class, percentages of the estimates."""
-    found = [_class_pairs(summary) for summary in summaries]
-    most_common = [pair for pair, _ in sum(found, Counter[tuple[str, ...]]()).most_common()]
+    found = {summary.name: _class_pairs(summary) for summary in summaries}
+    most_common = [pair for pair, _ in sum(found.values(), Counter[tuple[str, ...]]()).most_common()]
     seen = [*dict.fromkeys(estimate for _, estimate in most_common if estimate)][:_CLASSES]
-    rows = [
-        TextRow(truth, tuple(_class_shares(pairs, truth, (*seen, "")) for pairs in found))
+    rows = {
+        truth: {name: cells for name, pairs in found.items() if (cells := _class_shares(pairs, truth, (*seen, "")))}
         for truth in dict.fromkeys(truth for truth, _ in most_common)
-    ]
+    }
     headers = ("boundaries", *(f"{name} %" for name in seen), "none %")
     return _table("True class beyond", headers, rows, summaries, (_CONFUSION,) if rows else (), label_columns=17)
 
 
-def missing_outputs(summaries: Summaries) -> TextTable:
-    """Reasons of absent outputs and their numbers of frames; the rarest reasons are only counted."""
+def missing_outputs(summaries: Summaries, *, vary_only: bool = False) -> Table:
+    """Reasons of absent outputs and their numbers of frames; the rarest reasons are only counted.
+
+    With ``vary_only`` reasons with the same share of the frames in all summaries are left out.
+    """
     found = ranked_reasons(merged(summary.reasons for summary in summaries))
-    rows = [_reason(summaries, kind, str(reason)) for kind, reason in islice(found.items(), REASONS_SHOWN)]
+    if vary_only:
+        shares = {kind: {percent(summary.reason_share(kind)) for summary in summaries} for kind in found}
+        found = {kind: reason for kind, reason in found.items() if len(shares[kind]) > 1}
+    rows = {str(reason): _reason(summaries, kind) for kind, reason in islice(found.items(), REASONS_SHOWN)}
     rest = len(found) - REASONS_SHOWN
-    others = [row(f"{rest} other reason{'s' * (rest > 1)}")] if rest > 0 else []
-    return _table("Missing outputs", ("frames", "frames %"), [*rows, *others], summaries)
+    others = {f"{rest} other reason{'s' * (rest > 1)}": dict[str, Sequence[str]]()} if rest > 0 else {}
+    return _table("Missing outputs", ("frames", "frames %"), {**rows, **others}, summaries)
 
 
-def accuracy(summaries: Summaries) -> TextTable:
+def accuracy(summaries: Summaries) -> Table:
     """Errors (estimate minus truth) beside coverage; a note names the quantities without truth."""
     headers = ("frames %", "bias", "median", "p95", "worst")
-    rows = list(_quantities(summaries, TRUTH, _accuracy, lambda q: f"{q.label}; {better(q)}"))
+    rows = dict(_quantities(summaries, TRUTH, _accuracy))
     absent = [q.column for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
     without = [f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []
     notes = (_ERRORS, _COVERAGE, *without)
-    return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,))
+    about = {q.column: f"{q.label}; {better(q)}" for q in TRUTH}
+    return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,), about=about)
 
 
-def consistency_table(summaries: Summaries) -> TextTable:
+def consistency_table(summaries: Summaries) -> Table:
     """Errors in units of the chain's standard deviations, where truth is known."""
-    columns = [judged.estimate for judged in JUDGED]
-    found = {column: [summary.consistency.get(column) for summary in summaries] for column in columns}
-    rows = [
-        TextRow(name, tuple(_consistency(item) if item and item.values else () for item in items))
-        for name, items in found.items()
-        if any(item and item.values for item in items)
-    ]
-    without = [name for name in found if any(found[name]) and name not in {item.label for item in rows}]
+    columns = [judged.estimate for judged in JUDGED if any(judged.estimate in s.consistency for s in summaries)]
+    found = {name: _first(summaries, partial(_consistency, column=name)) for name in columns}
+    rows = {name: cells for name, cells in found.items() if cells}
+    without = [name for name in columns if name not in rows]
     notes = [*(_LEGEND if rows else ()), *([f"no standard deviation: {', '.join(without)}"] if without else [])]
     headers = ("errors", "with std %", *_SIGMAS, "NEES", f"{LEVEL:.0%} interval")
     return _table("Consistency", headers, rows, summaries, tuple(notes), label_columns=17)
 
 
-def detection_counts(summaries: Summaries) -> TextTable:
+def detection_counts(summaries: Summaries) -> Table:
     """Precision, recall and F1 over all frames, and their counts."""
     found = [{score.name: score for score in summary.scores} for summary in summaries]
     names = dict.fromkeys(name for scores in found for name in scores)
-    rows = [TextRow(name, tuple(scores[name].cells(3) if name in scores else () for scores in found)) for name in names]
+    rows = {
+        name: {s.name: scores[name].cells(3) for s, scores in zip(summaries, found, strict=True) if name in scores}
+        for name in names
+    }
     notes = [f"{name}: {', '.join(COUNTED[name])}" for name in names]
     headers = ("precision", "recall", "F1", "TP", "FP", "FN")
     return _table("Detection counts", headers, rows, summaries, tuple(notes))
 
 
-def latency(summaries: Summaries) -> TextTable:
+def latency(summaries: Summaries) -> Table:
     """Time per stage, and the speed relative to the log's time."""
-    rows = list(_quantities(summaries, STAGE_TIMES, _times, lambda _: ""))
+    rows = dict(_quantities(summaries, STAGE_TIMES, _times))
     headers = ("median ms", "p95 ms", "p99 ms", "share %")
     return _table("Latency", headers, rows, summaries, tuple(_remarks(summaries, _speed)))
 
 
-def worst_frames(summaries: Summaries) -> TextTable:
+def worst_frames(summaries: Summaries) -> Table:
     """The worst frames of each summary by every error, or by suspect quantities if there is no truth.
 
     With several runs each line names its run.
@@ -171,7 +176,7 @@ def worst_frames(summaries: Summaries) -> TextTable:
     headers = ("value", "frame", "s", "stamp ns")
     one_after_another = any(summary.segments > summary.runs for summary in summaries)
     notes = (f"{_SECONDS}; {_SEGMENTS}" if one_after_another else _SECONDS,)
-    return TextTable("Worst frames", headers, tuple(rows), notes, label_columns=20)
+    return Table("Worst frames", headers, tuple(rows), notes, label_columns=20)
 
 
 def ranked_by(summaries: Summaries) -> list[Quantity]:
@@ -195,41 +200,40 @@ def better(quantity: Quantity) -> str:
 def _table(
     title: str,
     headers: tuple[str, ...],
-    rows: Iterable[TextRow],
+    rows: Mapping[str, Cells],
     summaries: Summaries,
-    notes: tuple[str, ...] = (),
+    notes: Sequence[str] = (),
     *,
+    about: Mapping[str, str] | None = None,
     label_columns: int = 26,
-) -> TextTable:
-    names = tuple(summary.name for summary in summaries)
-    limited = tuple(item if item.listed is not None else replace(item, listed=_first(item)) for item in rows)
-    return TextTable(title, headers, limited, notes, names, label_columns=label_columns)
+) -> Table:
+    lines = rows_of_subjects(rows, len(summaries) > 1)
+    return Table(title, headers, lines, notes, about or {}, label_columns=label_columns)
 
 
-def _first(item: TextRow) -> tuple[int, ...]:
-    """Indices of the first subjects with values."""
-    return tuple(place for place, cells in enumerate(item.cells) if cells)[:LISTED]
+def _first(summaries: Summaries, cells: Callable[[Summary], Sequence[str]]) -> Cells:
+    """The cells of the first summaries that have some."""
+    found = ((summary.name, cells(summary)) for summary in summaries)
+    return dict(islice(((name, texts) for name, texts in found if texts), LISTED))
 
 
-def _states(summaries: Summaries, column: str) -> Iterator[TextRow]:
+def _states(summaries: Summaries, column: str) -> Iterator[tuple[str, Cells]]:
     """A row for each value of a text column, with its share of the frames."""
     total = sum((summary.categories[column] for summary in summaries), Counter[str]())
     for value, _ in total.most_common():
-        yield TextRow(f"{column}: {value}", tuple((percent(summary.share(column, value)),) for summary in summaries))
+        yield f"{column}: {value}", {s.name: (percent(s.share(column, value)),) for s in summaries[:LISTED]}
 
 
 def _quantities(
     summaries: Summaries,
     quantities: Iterable[Quantity],
     cells: Callable[[Summary, Quantity, Statistics], tuple[str, ...]],
-    about: Callable[[Quantity], str] = lambda quantity: quantity.label,
-) -> Iterator[TextRow]:
+) -> Iterator[tuple[str, Cells]]:
     """A row for each quantity with values in any summary."""
     for quantity in quantities:
-        found = [(summary, summary.statistics.get(quantity.column)) for summary in summaries]
-        if any(statistics for _, statistics in found):
-            row_cells = tuple(cells(summary, quantity, s) if s else () for summary, s in found)
-            yield TextRow(quantity.column, row_cells, about(quantity), listed(summaries, quantity))
+        having = [summaries[place] for place in listed(summaries, quantity)]
+        if having:
+            yield quantity.column, {s.name: cells(s, quantity, s.statistics[quantity.column]) for s in having}
 
 
 def listed(summaries: Summaries, quantity: Quantity) -> tuple[int, ...]:
@@ -268,8 +272,11 @@ def _times(summary: Summary, quantity: Quantity, found: Statistics) -> tuple[str
     return (*(rounded(value, quantity) for value in (found.median, found.p95, found.p99)), share)
 
 
-def _consistency(found: Consistency) -> tuple[str, ...]:
+def _consistency(summary: Summary, column: str) -> tuple[str, ...]:
     """Number of errors, shares with a deviation, within 1 and 2 and beyond 3 of it, NEES and its interval."""
+    found = summary.consistency.get(column)
+    if found is None or not found.values:
+        return ()
     shares = (found.values / found.errors, found.within(1), found.within(2), 1 - found.within(3))
     nees, *ends = (f"{v:.2f}" if v < _LARGE else f"{v:.0f}" for v in (found.nees, *(found.nees_interval or ())))
     return (str(found.errors), *map(percent, shares), nees, "-".join(ends))
@@ -311,14 +318,12 @@ def _class_shares(pairs: Counter[tuple[str, ...]], truth: str, estimates: Iterab
     return (str(boundaries), *(percent(pairs[truth, name] / boundaries) for name in estimates)) if boundaries else ()
 
 
-def _reason(summaries: Summaries, kind: ReasonKind, text: str) -> TextRow:
-    """Number and percentage of the frames with a reason, for each summary."""
-    frames = [summary.reasons[kind].frames if kind in summary.reasons else 0 for summary in summaries]
-    shares = [summary.reason_share(kind) for summary in summaries]
-    least = sorted(shares)[-LISTED:][0]
-    having = [k for k, share in enumerate(shares) if share >= least and frames[k]]
-    cells = tuple((str(number), percent(share)) for number, share in zip(frames, shares, strict=True))
-    return TextRow(text, cells, listed=tuple(having[:LISTED]))
+def _reason(summaries: Summaries, kind: ReasonKind) -> Cells:
+    """Number and percentage of the frames with a reason, of the summaries in which it is most frequent."""
+    having = [summary for summary in summaries if kind in summary.reasons]
+    least = sorted(summary.reason_share(kind) for summary in having)[-LISTED:][0]
+    shown = [summary for summary in having if summary.reason_share(kind) >= least][:LISTED]
+    return {s.name: (str(s.reasons[kind].frames), percent(s.reason_share(kind))) for s in shown}
 
 
 def _speed(summary: Summary) -> str:
@@ -339,15 +344,15 @@ def _remarks(summaries: Summaries, remark: Callable[[Summary], str]) -> Iterator
             yield f"{summary.name}: {text}" if len(summaries) > 1 else text
 
 
-def _worst(summaries: Summaries, quantity: Quantity, several: bool) -> Iterator[TextRow]:
+def _worst(summaries: Summaries, quantity: Quantity, several: bool) -> Iterator[Row]:
     having = [summaries[place].worst.get(quantity.column, ()) for place in listed(summaries, quantity)]
     frames = list(chain.from_iterable(having))
     if several:
-        yield row(quantity.column)
-        yield from (row(f"  {frame.run}", *_worst_cells(frame, quantity)) for frame in frames)
+        yield (quantity.column,)
+        yield from ((f"  {frame.run}", *_worst_cells(frame, quantity)) for frame in frames)
     else:
         labels = (quantity.column, *("" for _ in frames))
-        yield from (row(label, *_worst_cells(frame, quantity)) for label, frame in zip(labels, frames, strict=False))
+        yield from ((label, *_worst_cells(frame, quantity)) for label, frame in zip(labels, frames, strict=False))
 
 
 def _worst_cells(frame: WorstFrame, quantity: Quantity) -> list[str]:

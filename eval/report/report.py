@@ -9,10 +9,9 @@ from roadperc_stream.output.terminal import console_for, print_lines
 
 from ..dataset.place import dataset_at
 from ..options import ReportOptions
-from ..result_files import ResultFiles
+from ..results import ResultFiles
 from .dataset_report import DatasetReport
 from .run_report import RunReport
-from .short_report import print_report, write_report
 
 
 def report(names: Sequence[str], options: ReportOptions, files: ResultFiles) -> None:
@@ -28,8 +27,8 @@ def report(names: Sequence[str], options: ReportOptions, files: ResultFiles) -> 
         found.write_page(options.html)  # first, because the reader of the text may close the pipe
     short = found.short() if files.paths or not options.full else None
     if short is not None:
-        write_report(short, files)
-    print_report(console, short if short is not None and not options.full else found.full())
+        short.write(files)
+    (short if short is not None and not options.full else found.full()).print(console)
     if options.html is not None:
         print_lines(console, "", f"page   {options.html}", unbroken=True)
 

@@ -9,21 +9,22 @@ from typing import Any, Final
 from rich.console import Console
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.system.text import number
 
-from ..configurations import UNKNOWN, grouped, settings_table, short_digest
+from ..configurations import UNKNOWN, grouped, settings_table, settings_that_differ, short_digest
 from ..continued import find_joined
 from ..findings import findings_of
 from ..frame_commands import view_command
 from ..options import ReportOptions
 from ..report_columns import SKEW, legend, listed, name_columns, percent, short_names
+from ..results import Results
 from ..runs import Run
 from ..summaries import Summary, summarise_group, summarise_run
 from ..trajectory.trajectory import in_short
 from .by_expression import slices_of_runs
 from .full_tables import LISTED, accuracy, full_tables, latency, missing_outputs, worst_frames
-from .short_report import Report, of_pair, of_summaries, with_findings
+from .short_report import of_pair, of_summaries, with_findings
 from .stages import RUNS_SHOWN, rows_tables
 
 RUNS_LISTED: Final = 40
@@ -55,17 +56,17 @@ class RunReport:
 
         write_page(path, self._runs)
 
-    def short(self) -> Report:
+    def short(self) -> Results:
         """The stages of a run, the differences of two runs of a log, a row for each of several, or slices."""
         return with_findings(self._short(), self._findings, self._notes)
 
-    def full(self) -> Report:
+    def full(self) -> Results:
         """All tables."""
         runs, worst = self._runs, self._options.worst
         parts = _of_one(runs[0], worst) if len(runs) == 1 else _of_several(runs, worst, self._columns)
-        return with_findings(Report("Report", (), tuple(parts)), self._findings, self._notes)
+        return with_findings(Results("report", "Report", (), tuple(parts)), self._findings, self._notes)
 
-    def _short(self) -> Report:
+    def _short(self) -> Results:
         runs = self._runs
         if self._options.by:
             return slices_of_runs(runs, self._options.by)
@@ -87,15 +88,15 @@ class RunReport:
         head = (f"{contents(summaries)}, {frames} frames{shown}", *found.head, *_settings(runs))
         names = short_names([run.name for run in runs], self._columns)
         tables = rows_tables("Run", [replace(s, name=names[s.name]) for s in summaries], of_runs=True)
-        return replace(found, head=head, parts=tables, tail=(*found.tail, _MORE))
+        return replace(found, head=head, tables=tables, tail=(*found.tail, _MORE))
 
 
 def _settings(runs: Sequence[Run]) -> Iterator[str]:
     """A line with the values of the settings that differ."""
-    table = settings_table({run.name: run for run in runs})
-    texts = [f"{item.label} {'/'.join(dict.fromkeys(value for (value,) in item.cells))}" for item in table.rows]
-    if texts or table.notes:
-        yield f"settings that differ: {listed((*texts, *table.notes))}"
+    values, notes = settings_that_differ({run.name: run for run in runs})
+    texts = [f"{key} {'/'.join(dict.fromkeys(of_runs.values()))}" for key, of_runs in values.items()]
+    if texts or notes:
+        yield f"settings that differ: {listed((*texts, *notes))}"
 
 
 def _trajectory(run: Run, summary: Summary) -> tuple[tuple[str, ...], dict[str, Any]]:
@@ -103,13 +104,13 @@ def _trajectory(run: Run, summary: Summary) -> tuple[tuple[str, ...], dict[str, 
     return in_short(run) if _HAS_TRUE_POSES in summary.statistics else ((), {})
 
 
-def _of_one(run: Run, worst: int) -> Iterator[str | TextTable]:
+def _of_one(run: Run, worst: int) -> Iterator[str | Table]:
     summary = summarise_run(run, worst)
     yield from (identity(summary), extent(summary), inputs(summary), *_trajectory(run, summary)[0])
     yield from (*full_tables([summary]), worst_frames([summary]))
 
 
-def _of_several(found: Sequence[Run], worst: int, columns: int) -> Iterator[str | TextTable]:
+def _of_several(found: Sequence[Run], worst: int, columns: int) -> Iterator[str | Table]:
     """Statistics by configuration, then by run; runs of two configurations are never pooled."""
     names = short_names([run.name for run in found], columns)
     grouped_runs = grouped([replace(run, name=names[run.name]) for run in found])
@@ -184,22 +185,20 @@ def precision(summary: Summary) -> str:
     )
 
 
-def runs_table(summaries: Sequence[Summary], notes: tuple[str, ...]) -> TextTable:
+def runs_table(summaries: Sequence[Summary], notes: tuple[str, ...]) -> Table:
     """A row per run: log, configuration, extent, and the version if they differ."""
     versions = len({summary.versions for summary in summaries}) > 1
     headers = ("log id", "config", *(["version"] if versions else []), "frames", "s", "frames/s")
-    return TextTable("Run", headers, tuple(_run(s, versions) for s in summaries), notes, label_columns=15)
+    return Table("Run", headers, tuple(_run(s, versions) for s in summaries), notes, label_columns=15)
 
 
-def _run(summary: Summary, with_version: bool) -> TextRow:
+def _run(summary: Summary, with_version: bool) -> Row:
     version = [summary.versions[0] or "unknown"] if with_version else []
     extent = (str(summary.frames), f"{summary.span_s:.2f}", f"{summary.rate_hz:.1f}" if summary.rate_hz else "")
-    return row(summary.name, listed(summary.log_ids, 1), short_digest(summary.configs[0]), *version, *extent)
+    return (summary.name, listed(summary.log_ids, 1), short_digest(summary.configs[0]), *version, *extent)
 
 
-def tables_by_run(summaries: Sequence[Summary]) -> Iterator[TextTable]:
+def tables_by_run(summaries: Sequence[Summary]) -> Iterator[Table]:
     """Missing outputs that differ between runs, accuracy and latency, each with a line per run."""
-    missing = missing_outputs(summaries)
-    vary = tuple(item for item in missing.rows if len({cells[-1:] for cells in item.cells}) > 1)
-    for table in (replace(missing, rows=vary), accuracy(summaries), latency(summaries)):
+    for table in (missing_outputs(summaries, vary_only=True), accuracy(summaries), latency(summaries)):
         yield replace(table, title=f"{table.title} by run", notes=())

@@ -1,13 +1,8 @@
 """A report: lines and tables for a terminal and Markdown, values for JSON, cases for JUnit; and the short ones."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
-
-from rich.console import Console
-
-from roadperc_stream.output.terminal import print_lines, print_table
-from roadperc_stream.output.text_table import TextTable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
 
 from ..compare.comparison import compare_runs
 from ..compare.pairing import pair_runs
@@ -17,7 +12,7 @@ from ..findings import Found, finding_counts, report_lines
 from ..frame_commands import view_command
 from ..options import Rules
 from ..report_columns import TRUTH
-from ..result_files import Case, ResultFiles, write_files
+from ..results import Results
 from ..runs import Run
 from ..summaries import Summary
 from .stages import (
@@ -37,46 +32,13 @@ from .stages import (
 _MARKS: Final[tuple[Mark, ...]] = ("worse", "better")
 
 
-@dataclass(frozen=True)
-class Report:
-    """Lines above and below the parts, which are tables and wrapped lines, and the same figures for JSON and JUnit."""
-
-    title: str
-    head: tuple[str, ...]
-    parts: tuple[TextTable | str, ...]
-    tail: tuple[str, ...] = ()
-    values: Mapping[str, Any] = field(default_factory=dict)
-    cases: tuple[Case, ...] = ()
-
-
-def print_report(console: Console, report: Report) -> None:
-    """Print the lines and the tables."""
-    print_lines(console, *report.head, unbroken=True)
-    for part in report.parts:
-        if isinstance(part, str):
-            print_lines(console, part)
-        else:
-            print_table(console, part)
-    print_lines(console, *report.tail, unbroken=True)
-
-
-def with_findings(report: Report, found: Found, notes: Iterable[str] = ()) -> Report:
+def with_findings(report: Results, found: Found, notes: Iterable[str] = ()) -> Results:
     """The report with the findings of its runs and notes in its first lines, and the findings in its values."""
     values = {**report.values, "findings": finding_counts(found)}
     return replace(report, head=(*report_lines(found), *notes, *report.head), values=values)
 
 
-def write_report(report: Report, files: ResultFiles) -> None:
-    """Write the files for other programs.
-
-    Raises:
-        TargetError: a file cannot be written.
-    """
-    tables = [part for part in report.parts if isinstance(part, TextTable)]
-    write_files(files, report.values, (report.title, (*report.head, *report.tail), tables), "report", report.cases)
-
-
-def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Report:
+def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: Command) -> Results:
     """The stages of one summary, or the worst frame of several; ``kind`` is their name in JSON."""
     judged = judged_stages(summaries)
     figures = {summary.name: stage_figures(summary, judged) for summary in summaries}
@@ -90,10 +52,10 @@ def of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: C
     truth = any(quantity.column in summary.statistics for quantity in TRUTH for summary in summaries)
     head = () if truth else (NO_TRUTH,)
     heights = dict.fromkeys(filter(None, map(assumed_height, summaries)))
-    return Report(title, (*head, *heights), tables, (*shown, *times), {kind: values}, cases)
+    return Results("report", title, (*head, *heights), tables, (*shown, *times), {kind: values}, cases)
 
 
-def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Report:
+def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Results:
     """The verdict of a comparison of two runs of one log; the first run is the base.
 
     Raises:
@@ -109,7 +71,7 @@ def of_pair(runs: Sequence[Run], summaries: Sequence[Summary]) -> Report:
     return replace(
         with_each,
         head=(f"base {base.name}, new {new.name}", *with_each.head, *verdict_lines(found)),
-        parts=(),
+        tables=(),
         tail=tuple(f"{name} {latency_line(s)}" for name, s in zip(("base", "new"), summaries, strict=True)),
         values={**with_each.values, "differences": values},
     )

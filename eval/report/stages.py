@@ -6,11 +6,11 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from roadperc_stream.output.reason_counts import ranked as ranked_reasons
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row, Table, rows_of_subjects
 from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
 
 from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
-from ..result_files import Case
+from ..results import Case
 from ..summaries import Summary, WorstFrame
 
 Command = Callable[[WorstFrame], str]
@@ -184,26 +184,26 @@ def assumed_height(summary: Summary) -> str:
     return f"assumed height {height.median:g} m, because the log has no mounting; pass --height to roadperc-replay"
 
 
-def stages_of(summaries: Sequence[Summary]) -> TextTable:
+def stages_of(summaries: Sequence[Summary]) -> Table:
     """The table of the stages of one summary, or of several side by side."""
     judged = judged_stages(summaries)
     return stage_table({summary.name: stage_figures(summary, judged) for summary in summaries}, judged)
 
 
-def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Container[str]) -> TextTable:
+def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Container[str]) -> Table:
     """A row for each stage, then a row for each state of its frames, and for the value that tells its scale.
 
     ``figures`` are those of each subject, by its name.
     """
     of_stages = [f for stage in _STAGES for found in figures.values() for f in found if f.stage == stage]
     names = [name for stage in _STAGES for name, found in figures.items() for f in found if f.stage == stage]
-    cells: dict[tuple[str, str], dict[str, tuple[str, ...]]] = {}
+    cells: dict[str, dict[str, tuple[str, ...]]] = {}
+    about: dict[str, str] = {}
     for name, found in zip(names, of_stages, strict=True):
-        for label, about, line in _rows(found):
-            cells.setdefault((label, about), {})[name] = line
-    rows = [
-        TextRow(label, tuple(lines.get(name, ()) for name in figures), about) for (label, about), lines in cells.items()
-    ]
+        for label, column, line in _rows(found):
+            cells.setdefault(label, {})[name] = line
+            about |= {label: column} if column else {}
+    rows = rows_of_subjects(cells, len(figures) > 1)
     shown = [f for f in of_stages if f.median is not None]
     figured = [f for found in of_stages for f in (found, found.telling) if f and f.median is not None]
     columns = dict.fromkeys(f.quantity.column for f in figured if f.quantity.column in _STORED)
@@ -221,8 +221,7 @@ def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Container
         "worst",
         "frame",
     )
-    subjects = tuple(figures) if len(figures) > 1 else ()
-    return TextTable(f"Stage and {title}", headers, tuple(rows), tuple(notes), subjects)
+    return Table(f"Stage and {title}", headers, rows, notes, about)
 
 
 def _rows(found: StageFigures) -> Iterator[tuple[str, str, tuple[str, ...]]]:
@@ -273,7 +272,7 @@ def latency(summary: Summary) -> dict[str, float]:
     return {"median_ms": total.median, "p95_ms": total.p95, "frames_per_core_s": rate}
 
 
-def rows_tables(title: str, summaries: Sequence[Summary], *, of_runs: bool = False) -> tuple[TextTable, ...]:
+def rows_tables(title: str, summaries: Sequence[Summary], *, of_runs: bool = False) -> tuple[Table, ...]:
     """Two tables with a row for each summary, the worst first: the tails of the stages' errors, and the coverage.
 
     For the short report ``of_runs``, one table: fewer rows, and the least coverage of any run as the last one.
@@ -285,24 +284,25 @@ def rows_tables(title: str, summaries: Sequence[Summary], *, of_runs: bool = Fal
     shown = ordered[: RUNS_SHOWN if of_runs else LISTED]
     units = {stage: _KNOWN[_STAGES[stage].error if stage in judged else _STAGES[stage].quality] for stage in stages}
     headers = [f"{_NARROW.get(stage, stage)}{'' if q.unit in UNITLESS else f' {q.unit}'}" for stage, q in units.items()]
-    tails, covered = [], []
+    tails: list[Row] = []
+    covered: list[Row] = []
     for s in shown:
         of_stages = [found[s.name].get(stage) for stage in stages]
-        tails.append(row(s.name, str(s.frames), *(_cells(f)[1] if f else "" for f in of_stages)))
-        covered.append(row(s.name, *(percent(f.coverage) if f else "" for f in of_stages)))
-    if len(covered) > 1 and len({item.cells for item in covered}) == 1:
-        covered = [replace(covered[0], label="each row")]
+        tails.append((s.name, str(s.frames), *(_cells(f)[1] if f else "" for f in of_stages)))
+        covered.append((s.name, *(percent(f.coverage) if f else "" for f in of_stages)))
+    if len(covered) > 1 and len({row[1:] for row in covered}) == 1:
+        covered = [("each row", *covered[0][1:])]
     notes = (f"listed: the worst {len(shown)} of {len(summaries)}",) if len(summaries) > len(shown) else ()
     kinds = "p95 error" if judged.issuperset(stages) else "p95 or p5"
     columns = f"columns: {', '.join(q.column for q in units.values())}"
     notes = (*notes, columns)
     if of_runs:
         least = (min(of_run[stage].coverage for of_run in found.values() if stage in of_run) for stage in stages)
-        rows = (*tails, row("least coverage, %", "", *map(percent, least)))
-        return (TextTable(f"{title}: {kinds}", ("frames", *headers), rows, (columns,), label_columns=15),)
+        rows = (*tails, ("least coverage, %", "", *map(percent, least)))
+        return (Table(f"{title}: {kinds}", ("frames", *headers), rows, (columns,), label_columns=15),)
     return (
-        TextTable(f"{title}: {kinds}", ("frames", *headers), tuple(tails), notes, label_columns=15),
-        TextTable("Coverage, %", tuple(_NARROW.get(s, s) for s in stages), tuple(covered), label_columns=15),
+        Table(f"{title}: {kinds}", ("frames", *headers), tuple(tails), notes, label_columns=15),
+        Table("Coverage, %", tuple(_NARROW.get(s, s) for s in stages), tuple(covered), label_columns=15),
     )
 
 

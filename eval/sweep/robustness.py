@@ -11,7 +11,7 @@ from typing import Any, Final
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.files import METRICS_SUFFIX
 
@@ -95,11 +95,11 @@ def require_baseline(folder: Path, facts: Mapping[str, Any]) -> None:
             raise TableError(f"{folder}: {key} {known.get(key)}, expected a sweep with {facts[key]}")
 
 
-def tables_of(rated: Mapping[str, tuple[Rates, Rates]], baseline: Path | None) -> Iterator[TextTable]:
+def tables_of(rated: Mapping[str, tuple[Rates, Rates]], baseline: Path | None) -> Iterator[Table]:
     """A row per metric: mRR and the rate of each corruption; with a baseline also mCE and the errors."""
     notes = ["RR: mean over the severities, in percent of the clean log; frames without a value count as 0"]
     notes += [f"CE: sum of 1 - value, in percent of the baseline {baseline}"] if baseline else []
     for at, (mean, note) in enumerate(zip(("mRR", "mCE"), notes, strict=False)):
         headers = tuple(mean if key == MEAN else key for key in next(iter(rated.values()), ({}, {}))[at])
         cells = {name: ["" if v is None else percent(v) for v in both[at].values()] for name, both in rated.items()}
-        yield TextTable(f"{mean}, %", headers, tuple(row(name, *texts) for name, texts in cells.items()), (note,))
+        yield Table(f"{mean}, %", headers, tuple((name, *texts) for name, texts in cells.items()), (note,))

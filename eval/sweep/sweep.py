@@ -11,14 +11,14 @@ from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.system.files import METRICS_SUFFIX, not_a_log
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.time import WHOLE, TimeRange
 
 from ..options import Varied
 from ..report_columns import percent, rounded
-from ..result_files import Case, ResultFiles, write_files
+from ..results import Case, ResultFiles, Results
 from . import robustness
 from .curves import curves
 from .ranking import METRICS, SettingScore, SweepMetric, best, effect, scores, without_influence
@@ -54,21 +54,21 @@ class SweepOptions:
     force: bool = False
 
 
-def best_settings(found: Sequence[robustness.Scored], made: Sequence[Combination], reference: Combination) -> TextTable:
+def best_settings(found: Sequence[robustness.Scored], made: Sequence[Combination], reference: Combination) -> Table:
     """A row per metric on which settings differ: scores and coverage of the best and the reference, and the changes."""
     headers = ("best", "frames %", "reference", "frames %", "setting")
     rows = (line for scored in found if _differ(*scored) for line in _best_rows(scored, made, reference))
-    return TextTable("Best setting", headers, tuple(rows), last_is_text=True, label_columns=22)
+    return Table("Best setting", headers, tuple(rows), last_is_text=True, label_columns=22)
 
 
-def _best_rows(scored: robustness.Scored, made: Sequence[Combination], reference: Combination) -> Iterator[TextRow]:
+def _best_rows(scored: robustness.Scored, made: Sequence[Combination], reference: Combination) -> Iterator[Row]:
     metric, scores = scored
     places = best(metric, scores, made, reference) or ()
     for label, at in zip((metric.quantity.label, "  lower coverage"), places, strict=False):
         if at is not None:
             pair = scores[at], scores[reference.number]
             cells = (text for score in pair for text in (_cell(metric, score), percent(score.coverage)))
-            yield row(label, *cells, _changes(made[at], reference))
+            yield (label, *cells, _changes(made[at], reference))
 
 
 def without_effect(found: Sequence[robustness.Scored]) -> str:
@@ -78,25 +78,25 @@ def without_effect(found: Sequence[robustness.Scored]) -> str:
     return f"no difference: {', '.join(same)}" if same else ""
 
 
-def effects(found: Sequence[robustness.Scored], made: Sequence[Combination], key: str) -> TextTable:
+def effects(found: Sequence[robustness.Scored], made: Sequence[Combination], key: str) -> Table:
     """A row per metric on which the setting has an effect: the mean score of the combinations with each value.
 
     If coverage differs between the values, a second row has the mean shares of frames, in percent.
     """
     values = dict.fromkeys(item.settings[key] for item in made)
     rows = (line for scored in found for line in _effect_rows(scored, made, key))
-    return TextTable(key, tuple(shown(value) for value in values), tuple(rows), label_columns=22)
+    return Table(key, tuple(shown(value) for value in values), tuple(rows), label_columns=22)
 
 
-def _effect_rows(scored: robustness.Scored, made: Sequence[Combination], key: str) -> Iterator[TextRow]:
+def _effect_rows(scored: robustness.Scored, made: Sequence[Combination], key: str) -> Iterator[Row]:
     metric, scores = scored
     means = list(effect(scores, made, key).values())
     if not _differ(metric, means):
         return
-    yield row(metric.quantity.label, *(_cell(metric, score) for score in means))
+    yield (metric.quantity.label, *(_cell(metric, score) for score in means))
     shares = [percent(score.coverage) for score in means]
     if len(set(shares)) > 1:
-        yield row("  frames %", *shares)
+        yield ("  frames %", *shares)
 
 
 def _differ(metric: SweepMetric, scores: Sequence[SettingScore]) -> bool:
@@ -181,16 +181,15 @@ def _print(options: SweepOptions, files: ResultFiles, made: Sequence[Combination
         tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
         idle = [f"{key} changed nothing" for key in without_influence(folder, tables_found, made)]
         notes = [*idle, without_effect(found), *LEGEND]
-    markdown = f"Sweep: {heading}", [note for note in notes if note], tables
-    cases = [_case(scored, made, reference) for scored in found]
-    write_files(files, as_json, markdown, "sweep", cases)
+    cases, lines = [_case(scored, made, reference) for scored in found], [note for note in notes if note]
+    Results("sweep", f"Sweep: {heading}", lines, tables, values=as_json, cases=cases).write(files)
     print_lines(console, heading, *taken, unbroken=True)
     for table in tables:
         print_table(console, table)
     print_lines(console, "", *notes)
 
 
-def _by_severity(found: Sequence[robustness.Scored], made: Sequence[Combination]) -> Iterator[TextTable]:
+def _by_severity(found: Sequence[robustness.Scored], made: Sequence[Combination]) -> Iterator[Table]:
     """A table per corruption: the scores by severity, 0 is the clean log."""
     for name in robustness.names_of(made):
         own = [(metric, robustness.of_corruption(several, made, name)) for metric, several in found]

@@ -7,13 +7,13 @@ from typing import Any, Final
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines, print_parts
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.system.text import number
 
 from ..continued import find_joined
 from ..options import Alignment
 from ..report_columns import legend, listed, name_columns, percent, short_names
-from ..result_files import Case, ResultFiles, write_files
+from ..results import Case, ResultFiles, Results
 from ..runs import Run
 from .errors import Delta, ErrorStatistics
 from .evaluation import Evaluation, Segments, evaluate
@@ -45,31 +45,31 @@ def _without_scale(evaluation: Evaluation) -> str:
     return f"{counted}; their frames have no pose" if run.without_scale else ""
 
 
-def _error_table(evaluation: Evaluation) -> TextTable:
+def _error_table(evaluation: Evaluation) -> Table:
     """Absolute and relative errors."""
     rows = (
-        row("ATE, m", *_cells(evaluation.absolute_m)),
-        row("RPE, m", *_cells(evaluation.relative_m)),
-        row("RPE, deg", *_cells(evaluation.relative_deg)),
+        ("ATE, m", *_cells(evaluation.absolute_m)),
+        ("RPE, m", *_cells(evaluation.relative_m)),
+        ("RPE, deg", *_cells(evaluation.relative_deg)),
     )
     headers = ("values", "RMSE", "mean", "median", "std", "min", "max", "SSE")
-    return TextTable("Error", headers, rows, (_rpe(evaluation.delta),), label_columns=22)
+    return Table("Error", headers, rows, (_rpe(evaluation.delta),), label_columns=22)
 
 
-def _stretch_table(evaluation: Evaluation) -> TextTable:
+def _stretch_table(evaluation: Evaluation) -> Table:
     """KITTI's errors by length, empty for lengths without stretches."""
     segments = (*evaluation.stretches, evaluation.together)
     rows = tuple(
-        row("all" if item.length_m is None else f"{item.length_m:.0f} m", str(item.count), *_segment_cells(item))
+        ("all" if item.length_m is None else f"{item.length_m:.0f} m", str(item.count), *_segment_cells(item))
         for item in segments
     )
     headers = ("segments", "translation %", "rotation deg/100 m")
     long = f"a segment begins at every {evaluation.every}th frame, as in KITTI's benchmark"
     short = "less than 100 m driven: shorter lengths, a segment begins at every frame"
-    return TextTable("KITTI", headers, rows, (long if evaluation.every > 1 else short,))
+    return Table("KITTI", headers, rows, (long if evaluation.every > 1 else short,))
 
 
-def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
+def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> Table:
     """A row for each run: evaluated frames, smallest and largest scale, and lengths with stretches."""
     rows = []
     for item in evaluations:
@@ -77,21 +77,21 @@ def _run_table(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> T
         least, most = (f"{scale:.4g}" for scale in (min(item.scales), max(item.scales)))
         used = [f"{segments.length_m:.0f}" for segments in item.stretches if segments.length_m and segments.count]
         lengths = f"{', '.join(used)} m" if used else "no length"
-        rows.append(row(names[item.run.name], *counts, least if least == most else f"{least} to {most}", lengths))
+        rows.append((names[item.run.name], *counts, least if least == most else f"{least} to {most}", lengths))
     headers = ("frames", "both %", "lost", "driven m", "scale", "KITTI over")
-    return TextTable("Run", headers, tuple(rows), tuple(legend(names)), last_is_text=True, label_columns=20)
+    return Table("Run", headers, tuple(rows), tuple(legend(names)), last_is_text=True, label_columns=20)
 
 
-def _side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> TextTable:
+def _side_by_side(evaluations: Sequence[Evaluation], names: Mapping[str, str]) -> Table:
     """A row of errors for each run."""
     rows = []
     for item in evaluations:
         found = (item.absolute_m, item.relative_m, item.relative_deg)
         rmse = [_number(statistics.rmse if statistics else None) for statistics in found]
         kitti = (*_segment_cells(item.together), str(item.together.count))
-        rows.append(row(names[item.run.name], item.alignment, *rmse, *kitti))
+        rows.append((names[item.run.name], item.alignment, *rmse, *kitti))
     headers = ("align", "ATE m", "RPE m", "RPE deg", "KITTI %", "deg/100 m", "segments")
-    return TextTable("RMSE", headers, tuple(rows), (_rpe(evaluations[0].delta),), label_columns=20)
+    return Table("RMSE", headers, tuple(rows), (_rpe(evaluations[0].delta),), label_columns=20)
 
 
 def _rpe(delta: Delta) -> str:
@@ -172,14 +172,15 @@ def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
 def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], files: ResultFiles) -> None:
     """Write the files for other programs; a run without a trajectory is skipped."""
     names = {item.run.name: item.run.name for item in evaluated}
-    values = {"runs": {item.run.name: _as_json(item) for item in evaluated}}
+    values: dict[str, Any] = {"runs": {item.run.name: _as_json(item) for item in evaluated}}
     skipped = {name: str(error) for name, error in refused.items()}
     tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)] if evaluated else []
     notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
     cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
     cases += [Case(name, "trajectory", "skipped", error) for name, error in skipped.items()]
-    markdown = "Trajectories", [*notes, *skipped.values()], tables
-    write_files(files, values | {"skipped": skipped}, markdown, "trajectory", cases)
+    lines = [*notes, *skipped.values()]
+    values |= {"skipped": skipped}
+    Results("trajectory", "Trajectories", lines, tables, values=values, cases=cases).write(files)
 
 
 def _as_json(item: Evaluation) -> dict[str, Any]:
@@ -197,10 +198,10 @@ def _as_json(item: Evaluation) -> dict[str, Any]:
 
 def _body(item: Evaluation) -> str:
     table = _side_by_side([item], {item.run.name: item.run.name})
-    return ", ".join(f"{name} {cell}" for name, cell in zip(table.headers, table.rows[0].cells[0], strict=True) if cell)
+    return ", ".join(f"{name} {cell}" for name, cell in zip(table.headers, table.rows[0][1:], strict=True) if cell)
 
 
-def _one(evaluation: Evaluation) -> list[str | TextTable]:
+def _one(evaluation: Evaluation) -> list[str | Table]:
     run, segments = evaluation.run, _in_segments(evaluation.run)
     scales = listed([f"{scale:.6g}" for scale in evaluation.scales])
     scaled = f", the estimate scaled by {scales}" if evaluation.alignment == "sim3" else ""
@@ -222,7 +223,7 @@ def _notes(evaluation: Evaluation) -> Iterator[str]:
     yield from filter(None, (segments, *evaluation.left_out, _without_scale(evaluation)))
 
 
-def _several(evaluated: Sequence[Evaluation], columns: int) -> list[str | TextTable]:
+def _several(evaluated: Sequence[Evaluation], columns: int) -> list[str | Table]:
     names = short_names([item.run.name for item in evaluated], columns)
     notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
     return [f"{len(evaluated)} runs", _run_table(evaluated, names), _side_by_side(evaluated, names), *notes]

@@ -13,7 +13,7 @@ from roadperc_stream.view.live import FASTEST, SLOWEST, PlaybackOptions
 
 if TYPE_CHECKING:
     from roadperc_stream.config import ReplayConfig
-    from roadperc_stream.eval.result_files import ResultFiles
+    from roadperc_stream.eval.results import ResultFiles
     from roadperc_stream.system.time import TimeRange
 
 
@@ -129,7 +129,7 @@ def add_result_file_arguments(parser: argparse.ArgumentParser) -> None:
 
 def result_files_of(arguments: argparse.Namespace) -> "ResultFiles":
     """The files that ``--json``, ``--markdown`` and ``--junit`` name."""
-    from roadperc_stream.eval.result_files import ResultFiles
+    from roadperc_stream.eval.results import ResultFiles
 
     return ResultFiles(arguments.json, arguments.markdown, arguments.junit)
 

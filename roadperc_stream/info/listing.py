@@ -19,7 +19,7 @@ from roadperc_stream.input.outcome import FileSpan, joins
 from roadperc_stream.input.source import warnings_of
 from roadperc_stream.log import Channel
 from roadperc_stream.output.terminal import console_for, print_lines, print_table
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.record import log_id_of
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import require_free
@@ -37,10 +37,10 @@ def _print_joined(console: Console, logs: Sequence[LogFacts], overrides: Mapping
         return
     began_ns = spans[0].first_ns
     rows = tuple(
-        row(span.name, *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
+        (span.name, *(f"{ns_to_seconds(at_ns - began_ns):.3f}" for at_ns in (span.first_ns, span.last_ns)))
         for span in spans
     )
-    print_table(console, TextTable("As files of one log", ("from s", "to s"), rows))
+    print_table(console, Table("As files of one log", ("from s", "to s"), rows))
     lines = (*joins(spans), *_continuations(logs), *_only_in_some(logs), *_whole(logs, spans))
     print_lines(console, "", *lines)
     if not any(facts.provenance for facts in logs):

@@ -13,7 +13,7 @@ from roadperc_stream.info.facts import CameraFacts, ChannelFacts, LogFacts, Prov
 from roadperc_stream.info.role_states import RoleState
 from roadperc_stream.log import number_of
 from roadperc_stream.output.terminal import print_lines, print_table
-from roadperc_stream.output.text_table import TextRow, TextTable, row
+from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY, log_id_of
 from roadperc_stream.system.text import number, shown
 from roadperc_stream.system.time import ns_to_seconds
@@ -45,9 +45,9 @@ _CHOICES: Final = {
 def print_roles(console: Console, states: Sequence[RoleState]) -> None:
     """Print the topic of each role, and what a replay lacks without it."""
     filled = {state.role for state in states if state.state == "filled"}
-    rows = tuple(row(state.role, _role_text(state)) for state in states if _is_listed(state, filled))
+    rows = tuple((state.role, _role_text(state)) for state in states if _is_listed(state, filled))
     headers = ("topic, or what a replay lacks without it",)
-    print_table(console, TextTable("Role", headers, rows, last_is_text=True, label_columns=18))
+    print_table(console, Table("Role", headers, rows, last_is_text=True, label_columns=18))
 
 
 def _is_listed(state: RoleState, filled: set[str]) -> bool:
@@ -114,7 +114,7 @@ def _alone_lines(replay: ReplayFacts) -> Iterator[str]:
             yield f"frames without a message of a role {reason}: {', '.join(alone)}"
 
 
-def _camera(found: CameraFacts) -> TextRow:
+def _camera(found: CameraFacts) -> Row:
     camera, height_m = found.camera, None if found.ego_T_camera is None else found.ego_T_camera[2][3]
     width, height = found.image_size or camera.size[::-1]
     remarks = [] if (height, width) == camera.size else [f"images of {width}x{height}"]
@@ -122,7 +122,7 @@ def _camera(found: CameraFacts) -> TextRow:
     remarks += ["not rectified"] if camera.lens is not None or camera.distortion else []
     remarks += ["no transform from ego"] if height_m is None else []
     cells = (f"{camera.width}x{camera.height}", rounded(camera.fx), rounded(camera.baseline_m), rounded(height_m))
-    return row(found.role, *cells, ", ".join(remarks))
+    return (found.role, *cells, ", ".join(remarks))
 
 
 _DAMAGES_SHOWN: Final = 5
@@ -154,14 +154,14 @@ def print_log(console: Console, facts: LogFacts, source: Path) -> None:
     print_lines(console, *_proposals(facts.replay, source), unbroken=True)
     headers = ("pixels", "fx px", "baseline m", "height m", "remark")
     cameras = tuple(map(_camera, facts.replay.cameras))
-    print_table(console, TextTable("Camera", headers, cameras, last_is_text=True, label_columns=18))
+    print_table(console, Table("Camera", headers, cameras, last_is_text=True, label_columns=18))
     if facts.provenance is not None:
         print_lines(console, "", *_provenance_lines(facts.provenance, facts.replay), unbroken=True)
         settings = facts.provenance.settings
         rows = tuple(
-            row(item.key, item.value, "no such setting" if item.default is None else item.default) for item in settings
+            (item.key, item.value, "no such setting" if item.default is None else item.default) for item in settings
         )
-        print_table(console, TextTable("Settings not at their defaults", ("value", "default"), rows))
+        print_table(console, Table("Settings not at their defaults", ("value", "default"), rows))
 
 
 def _file_lines(facts: LogFacts) -> Iterator[str]:
@@ -215,17 +215,17 @@ def _damage_lines(facts: LogFacts) -> Iterator[str]:
         yield from (f"  {line}" for line in file.recovery.lines(facts.first_ns))
 
 
-def _channels(channels: Sequence[ChannelFacts], width: int) -> TextTable:
+def _channels(channels: Sequence[ChannelFacts], width: int) -> Table:
     """The table of channels; schemas are the last column, or below the topics if a line is too long."""
     ordered = sorted(channels, key=lambda channel: (channel.result, channel.topic))
     topics, schemas = [shown(channel.topic) for channel in ordered], [shown(_schema(channel)) for channel in ordered]
     numbers = [(str(channel.messages), rounded(channel.rate_hz)) for channel in ordered]
     found = list(zip(topics, schemas, numbers, strict=True))
     if max(map(len, topics), default=0) + max(map(len, schemas), default=0) + _NUMBERS_WIDTH <= width:
-        rows = tuple(row(topic, *cells, schema) for topic, schema, cells in found)
-        return TextTable("Channel", ("messages", "Hz", "schema"), rows, last_is_text=True, label_columns=12)
-    lines = (line for topic, schema, cells in found for line in (row(topic, *cells), row(f"  {schema}")))
-    return TextTable("Channel, schema", ("messages", "Hz"), tuple(lines))
+        rows = tuple((topic, *cells, schema) for topic, schema, cells in found)
+        return Table("Channel", ("messages", "Hz", "schema"), rows, last_is_text=True, label_columns=12)
+    lines = (line for topic, schema, cells in found for line in ((topic, *cells), (f"  {schema}",)))
+    return Table("Channel, schema", ("messages", "Hz"), tuple(lines))
 
 
 def _schema(channel: ChannelFacts) -> str:
@@ -235,10 +235,10 @@ def _schema(channel: ChannelFacts) -> str:
     return name if channel.message_encoding == natural else f"{name} ({channel.message_encoding})"
 
 
-def _odd_intervals(channels: Iterable[ChannelFacts]) -> TextTable:
+def _odd_intervals(channels: Iterable[ChannelFacts]) -> Table:
     inputs = (channel for channel in channels if not channel.result)  # results follow the frames
-    rows = tuple(row(channel.topic, *cells) for channel in inputs if any(cells := _intervals(channel)))
-    return TextTable("Odd intervals", ("jitter ms", "gap s", "from s"), rows, (_INTERVALS_NOTE,) if rows else ())
+    rows = tuple((channel.topic, *cells) for channel in inputs if any(cells := _intervals(channel)))
+    return Table("Odd intervals", ("jitter ms", "gap s", "from s"), rows, (_INTERVALS_NOTE,) if rows else ())
 
 
 def _intervals(channel: ChannelFacts) -> tuple[str, ...]:
@@ -248,19 +248,19 @@ def _intervals(channel: ChannelFacts) -> tuple[str, ...]:
     return (jitter, *map(rounded, (channel.longest_gap_s, channel.gap_at_s) if odd_gap else ()))
 
 
-def _odd_stamps(channels: Iterable[ChannelFacts]) -> TextTable:
+def _odd_stamps(channels: Iterable[ChannelFacts]) -> Table:
     rows = tuple(_stamps(channel) for channel in channels if any(_stamp_counts(channel)))
     headers = ("back", "from s", "same", "unset", "late")
-    return TextTable("Odd stamps", headers, rows, (_STAMPS_NOTE,) if rows else ())
+    return Table("Odd stamps", headers, rows, (_STAMPS_NOTE,) if rows else ())
 
 
 def _stamp_counts(channel: ChannelFacts) -> tuple[int, int, int, int]:
     return channel.stamps_back, channel.stamps_repeated, channel.stamps_unset, channel.log_times_back
 
 
-def _stamps(channel: ChannelFacts) -> TextRow:
+def _stamps(channel: ChannelFacts) -> Row:
     back, *others = (str(count or "") for count in _stamp_counts(channel))
-    return row(channel.topic, back, rounded(channel.stamps_back_at_s), *others)
+    return (channel.topic, back, rounded(channel.stamps_back_at_s), *others)
 
 
 def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:

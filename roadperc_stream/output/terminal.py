@@ -8,10 +8,10 @@ from typing import Final, TextIO
 from rich.box import Box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
-from roadperc_stream.output.text_table import TextTable
+from roadperc_stream.output.text_table import GAP, Table
 from roadperc_stream.system.process import discard_output
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.text import shown
@@ -19,8 +19,6 @@ from roadperc_stream.system.text import shown
 NARROWEST, WIDEST = 80, 120
 """Limits of the layout width in characters; a narrower terminal wraps lines and loses no digits."""
 _RULE_BELOW_HEADER: Final = Box("\n".join(["    ", "    ", " ── ", "    ", "    ", "    ", "    ", "    "]))
-_GAP: Final = 2
-"""Spaces between two columns."""
 _LEAST_LABEL: Final = 15
 """Width of labels in a table whose numbers leave no space for wider ones."""
 _VERDICT: Final = r"^(?:check: )?(?:(?P<red>worse|failed|error)|(?P<green>better|passed))(?=$|[:, ])"
@@ -41,21 +39,18 @@ def console_for(stream: TextIO) -> Console:
     return PipeConsole(file=stream, width=width, highlight=False, markup=False, emoji=False)
 
 
-def print_table(console: Console, table: TextTable) -> None:
+def print_table(console: Console, table: Table) -> None:
     """Print a table after an empty line, with its notes below; without rows, print its title and notes.
 
     Labels and text wrap. Numbers never do: a table whose numbers do not fit is wider than the console.
     """
     if table.rows:
-        flat = table.flat()
-        if flat.headers == table.subjects and _least_label(flat) + sum(_numbers(flat)) > console.width:
-            flat = table.in_lines()
-        print_lines(console, "", _rendered(flat, console.width), *table.notes)
+        print_lines(console, "", _rendered(table, console.width), *table.notes)
     elif table.notes:
         print_lines(console, "", *(f"{table.title}: {note}" for note in table.notes))
 
 
-def print_parts(console: Console, *parts: str | TextTable) -> None:
+def print_parts(console: Console, *parts: str | Table) -> None:
     """Print lines, which do not wrap, and tables in order."""
     for part in parts:
         if isinstance(part, str):
@@ -64,26 +59,15 @@ def print_parts(console: Console, *parts: str | TextTable) -> None:
             print_table(console, part)
 
 
-def _numbers(table: TextTable) -> tuple[int, ...]:
-    """The widths of a flat table's columns of numbers, with the gap before each."""
-    columns = range(len(table.headers) - table.last_is_text)
-    cells = (
-        (table.headers[column], *(item.cells[0][column] for item in table.rows if column < len(item.cells[0])))
-        for column in columns
+def _rendered(table: Table, width: int) -> RichTable:
+    """A table without borders: labels on the left, columns of numbers, optionally a last column of text."""
+    rendered = RichTable(
+        box=_RULE_BELOW_HEADER, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold"
     )
-    return tuple(_GAP + max(len(shown(text)) for text in texts) for texts in cells)
-
-
-def _least_label(table: TextTable) -> int:
-    return min(max(len(shown(item.label)) for item in table.rows), _LEAST_LABEL)
-
-
-def _rendered(table: TextTable, width: int) -> Table:
-    """A flat table without borders: labels on the left, columns of numbers, optionally a last column of text."""
-    rendered = Table(box=_RULE_BELOW_HEADER, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), header_style="bold")
     # Only one column may fold: rich shrinks two columns equally, which makes labels too narrow.
-    numbers, words = _numbers(table), table.last_is_text
-    labels = max(width - sum(numbers), _least_label(table))
+    words = table.last_is_text
+    numbers = [GAP + columns for columns in table.widths[: len(table.headers) - words]]
+    labels = max(width - sum(numbers), min(max(len(shown(row[0])) for row in table.rows), _LEAST_LABEL))
     least = table.label_columns if words else min(table.label_columns, labels)
     rendered.add_column(shown(table.title), min_width=least, no_wrap=words, overflow="fold", header_style="bold cyan")
     for header in table.headers[: len(numbers)]:
@@ -92,8 +76,8 @@ def _rendered(table: TextTable, width: int) -> Table:
         rendered.add_column(shown(table.headers[-1]), overflow="fold")
     elif least + sum(numbers) > width:
         rendered.width = least + sum(numbers)
-    for item in table.rows:
-        rendered.add_row(shown(item.label), *(_coloured(shown(cell)) for cell in item.cells[0]))
+    for label, *cells in table.rows:
+        rendered.add_row(shown(label), *(_coloured(shown(cell)) for cell in cells))
     return rendered
 
 
@@ -104,11 +88,11 @@ def _coloured(text: str) -> Text:
     return coloured
 
 
-def print_lines(console: Console, *lines: str | Table, unbroken: bool = False) -> None:
+def print_lines(console: Console, *lines: str | RichTable, unbroken: bool = False) -> None:
     """Print lines without trailing spaces; long lines are not cut.
 
     Text wraps between words, unless ``unbroken``, which keeps searchable text on its line. Control characters are
-    escaped; those of a ``Table`` must be escaped already.
+    escaped; those of a ``RichTable`` must be escaped already.
     """
     with console.capture() as capture:
         for line in lines:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter, arrow_schema
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.tools.bench.replays import cost_of
@@ -114,9 +114,9 @@ def _bench(arguments: argparse.Namespace) -> None:
         command = [sys.executable, "-c", _FIND, str(folder), condition]
         cost_of(condition, command)  # reads the tables into the disk cache
         cost = cost_of(condition, command)
-        rows.append(row(condition, f"{cost.wall_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.peak_mb:.0f}"))
+        rows.append((condition, f"{cost.wall_s:.1f}", f"{cost.cpu_s:.1f}", f"{cost.peak_mb:.0f}"))
     headers = ("seconds", "core seconds", "peak MB")
-    print_table(console_for(sys.stdout), TextTable(f"{folder.name} frames", headers, tuple(rows)))
+    print_table(console_for(sys.stdout), Table(f"{folder.name} frames", headers, tuple(rows)))
 
 
 if __name__ == "__main__":

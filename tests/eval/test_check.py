@@ -13,7 +13,7 @@ from junitparser import Error, Failure, JUnitXml, Skipped
 
 from roadperc_stream.cli import check, replay, report
 from roadperc_stream.eval.criteria import DEFAULT_CRITERIA, Effect, effects, read_criteria
-from roadperc_stream.eval.result_files import write_json
+from roadperc_stream.eval.results import write_json
 from tests.commands import SCRIPTS
 from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import outcome, row, usage_error, write

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from roadperc_stream.config import load_config
-from roadperc_stream.eval.configurations import change, differing, grouped, settings_of, settings_table
+from roadperc_stream.eval.configurations import (
+    change,
+    differing,
+    grouped,
+    settings_of,
+    settings_table,
+    settings_that_differ,
+)
 from roadperc_stream.eval.runs import Run
 
 SLOW = load_config(settings=("lanes.hold_s=2",)).to_toml()
@@ -46,14 +53,14 @@ def test_a_group_has_one_configuration_and_version():
 def test_the_table_has_a_row_for_each_setting_and_names_unknown_configurations():
     runs = {"a": run("a", "seed = 1"), "b": run("b", "seed = 2"), "c": run("c", made_by="0" * 64)}
     table = settings_table(runs)
-    assert [(item.label, item.cells) for item in table.rows] == [("seed", (("1",), ("2",), ("unknown",)))]
-    assert table.subjects == ("a", "b", "c")
+    assert table.rows == [("seed", "1", "2", "unknown")]
+    assert table.headers == ("a", "b", "c")
     assert table.notes == ("unknown: no configuration in the table: c",)
 
 
 def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
     one, other = run("a", "seed = 1"), run("b", "seed = 1", version="2")
-    assert settings_table({"a": one, "b": one}).rows == settings_table({"a": one, "b": one}).notes == ()
+    assert settings_that_differ({"a": one, "b": one}) == ({}, ())
     assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 

@@ -5,7 +5,7 @@ import io
 import pytest
 
 from roadperc_stream.output.terminal import console_for, print_lines, print_table
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 
 
 class Terminal(io.StringIO):
@@ -24,6 +24,6 @@ def test_a_verdict_is_coloured_on_a_terminal(monkeypatch, stream, environment, c
         monkeypatch.setenv(name, value)
     out = stream()
     print_lines(console_for(out), "worse: lane left error", "check: failed, 3 frames", "failed_run.mcap: 3 frames")
-    print_table(console_for(out), TextTable("Metric", ("result",), (row("failed frames", "worse"),)))
+    print_table(console_for(out), Table("Metric", ("result",), [("failed frames", "worse")]))
     assert out.getvalue().count("\x1b[31m") == (3 if coloured else 0)
     assert out.getvalue().count("worse") == 2

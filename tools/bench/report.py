@@ -18,7 +18,7 @@ from roadperc_stream.cli.plumbing import run, whole_number
 from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
-from roadperc_stream.output.text_table import TextTable, row
+from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, columns_of
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 
@@ -126,11 +126,11 @@ def _bench(arguments: argparse.Namespace) -> None:
     costs = {name: cost_of(name, [sys.executable, "-c", code, str(folder)]) for name, code in programs.items()}
     plain = costs["plain group-by"]
     rows = [
-        row(name, f"{c.wall_s:.1f}", f"{c.cpu_s:.1f}", f"{c.peak_mb:.0f}", f"{c.wall_s / plain.wall_s:.2f}")
+        (name, f"{c.wall_s:.1f}", f"{c.cpu_s:.1f}", f"{c.peak_mb:.0f}", f"{c.wall_s / plain.wall_s:.2f}")
         for name, c in costs.items()
     ]
     headers = ("seconds", "core seconds", "peak MB", "ratio")
-    print_table(console_for(sys.stdout), TextTable(f"{folder.name} rows", headers, tuple(rows)))
+    print_table(console_for(sys.stdout), Table(f"{folder.name} rows", headers, tuple(rows)))
 
 
 if __name__ == "__main__":

@@ -1,18 +1,20 @@
-"""Results for other programs: JSON, Markdown for merge requests, and JUnit XML for CI servers."""
+"""The results of a command: printed, and written as JSON, Markdown for merge requests, and JUnit XML for CI servers."""
 
-import html
 import json
 import math
 import re
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 from xml.etree import ElementTree
 
+from rich.console import Console
+
 from roadperc_stream.errors import TargetError
-from roadperc_stream.output.text_table import TextTable
+from roadperc_stream.output.terminal import print_lines, print_table
+from roadperc_stream.output.text_table import Table, markdown_text
 from roadperc_stream.system.files import completing, real_path, require_plain
 from roadperc_stream.system.text import shown
 
@@ -47,28 +49,54 @@ class ResultFiles:
         return [path for path in (self.json, self.markdown, self.junit) if path is not None]
 
 
-def write_files(
-    files: ResultFiles,
-    values: Mapping[str, Any],
-    markdown: tuple[str, Sequence[str], Sequence[TextTable]],
-    suite: str,
-    cases: Sequence[Case],
-) -> None:
-    """Write the files for other programs; ``markdown`` is title, lines and tables.
+@dataclass(frozen=True)
+class Results:
+    """What a command found.
 
-    Raises:
-        TargetError: a file cannot be written, has the suffix of an input, or is named twice.
+    ``head`` and ``tail`` are lines above and below the ``tables``; a text among the tables is a line that wraps.
+    ``values`` are the same figures for JSON, and ``cases`` are those of the JUnit file.
     """
-    for place, path in enumerate(files.paths):
-        require_result(path)
-        if real_path(path) in map(real_path, files.paths[:place]):
-            raise TargetError(f"{path}: two options name it; give each result its own file")
-    if files.json is not None:
-        write_json(files.json, values)
-    if files.markdown is not None:
-        write_markdown(files.markdown, *markdown)
-    if files.junit is not None:
-        write_junit(files.junit, f"roadperc-{suite}", cases)
+
+    command: str
+    title: str
+    head: Sequence[str] = ()
+    tables: Sequence[Table | str] = ()
+    tail: Sequence[str] = ()
+    values: Mapping[str, Any] = field(default_factory=dict)
+    cases: Sequence[Case] = ()
+
+    def print(self, console: Console) -> None:
+        """Print the lines and the tables."""
+        print_lines(console, *self.head, unbroken=True)
+        for part in self.tables:
+            if isinstance(part, str):
+                print_lines(console, part)
+            else:
+                print_table(console, part)
+        print_lines(console, *self.tail, unbroken=True)
+
+    def write(self, files: ResultFiles) -> None:
+        """Write the files for other programs.
+
+        Raises:
+            TargetError: a file cannot be written, has the suffix of an input, or is named twice.
+        """
+        for place, path in enumerate(files.paths):
+            require_result(path)
+            if real_path(path) in map(real_path, files.paths[:place]):
+                raise TargetError(f"{path}: two options name it; give each result its own file")
+        if files.json is not None:
+            write_json(files.json, self.values)
+        if files.markdown is not None:
+            _append(files.markdown, self._markdown())
+        if files.junit is not None:
+            _write(files.junit, _junit(f"roadperc-{self.command}", self.cases))
+
+    def _markdown(self) -> str:
+        """A heading, a list of the lines, and the tables."""
+        lines = "\n".join(f"- {markdown_text(line)}" for line in (*self.head, *self.tail))
+        tables = (table.markdown() for table in self.tables if isinstance(table, Table))
+        return "\n\n".join(filter(None, (f"## {markdown_text(self.title)}", lines, *tables))) + "\n"
 
 
 def require_result(path: Path) -> Path:
@@ -105,14 +133,8 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def write_markdown(path: Path, title: str, lines: Sequence[str], tables: Sequence[TextTable] = ()) -> None:
-    """Append a heading, a list of lines, and tables as Markdown; the file may have text of others.
-
-    Raises:
-        TargetError: the file cannot be written.
-    """
-    parts = [f"## {_escaped(title)}", "\n".join(f"- {_escaped(line)}" for line in lines), *map(_markdown, tables)]
-    text = "\n\n".join(part for part in parts if part) + "\n"
+def _append(path: Path, text: str) -> None:
+    """Append a text to a file, which may have text of others."""
     with completing(path) as temporary:
         if is_begun := path.is_file() and path.stat().st_size > 0:
             shutil.copyfile(path, temporary)
@@ -120,28 +142,11 @@ def write_markdown(path: Path, title: str, lines: Sequence[str], tables: Sequenc
             stream.write("\n" * is_begun + text)
 
 
-def _markdown(table: TextTable) -> str:
-    flat = table.flat()
-    header = [flat.title, *flat.headers]
-    rows = [[item.label, *item.cells[0], *[""] * (len(flat.headers) - len(item.cells[0]))] for item in flat.rows]
-    lines = [header, ["---", *["---:"] * len(flat.headers)], *rows]
-    text = "\n".join(f"| {' | '.join(map(_escaped, cells))} |" for cells in lines)
-    return "\n\n".join([text, *map(_escaped, flat.notes)])
-
-
-def _escaped(text: str) -> str:
-    """A text in one line without HTML, links and control characters."""
-    return re.sub(r"([\\`*_|\[\]])", r"\\\1", html.escape(shown(" ".join(text.split())), quote=False))
-
-
-def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
-    """Write cases as JUnit XML that GitLab, GitHub's actions and Jenkins read.
+def _junit(suite: str, cases: Sequence[Case]) -> str:
+    """Cases as JUnit XML that GitLab, GitHub's actions and Jenkins read.
 
     The class name of a case is its log. The text is the body of its element, because GitLab ignores the attribute
     ``message``; other readers show only that, so it has the first line.
-
-    Raises:
-        TargetError: the file cannot be written.
     """
     counts = {
         f"{element}s" if element != "skipped" else element: str(sum(case.outcome == outcome for case in cases))
@@ -157,8 +162,7 @@ def write_junit(path: Path, suite: str, cases: Sequence[Case]) -> None:
             if case.text and case.outcome in _ELEMENTS:
                 element.set("message", element.text.partition("\n")[0])
     ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
-    _write(path, text + "\n")
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
 def _write(path: Path, text: str) -> None:
