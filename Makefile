@@ -115,7 +115,6 @@ proto: $(VENV)/.installed
 pages: $(VENV)/.installed  # the generated pages and tables of docs/
 	$(BIN)/python -m roadperc_stream.eval.metrics_page docs/metrics.md docs/scaling.md
 	$(BIN)/python -m roadperc_stream.cli.settings > docs/settings.md
-	$(BIN)/python -m tests.errors_page
 
 sample: $(VENV)/.installed
 	$(BIN)/roadperc-render $(SAMPLE_DUMP) $(SAMPLE_OPTIONS) --force

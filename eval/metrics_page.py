@@ -2,7 +2,6 @@
 
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -12,9 +11,8 @@ from roadperc_stream.schemas.columns.runs import RunRow
 
 _BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table in the page, below the names of the groups of columns it defines."""
-_HEADER: Final = ("column", "meaning", "unit", "better", "null where")
-_JUDGED: Final = ("relevant", "limit")
-"""Headings that tables of errors have, too."""
+_HEADER: Final = ("column", "meaning", "unit", "better", "null where", "relevant", "limit")
+"""Only tables of errors have the last two."""
 _GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics, RunRow)}
 
 
@@ -28,21 +26,22 @@ def with_tables(page: str) -> str:
 
 
 def table(groups: list[str]) -> str:
-    """Markdown lines that define the columns of some groups."""
-    columns = {name: column for group in groups for name, column in columns_of(_GROUPS[group]).items()}
-    judged = any(column.limit is not None for column in columns.values())
-    header = (*_HEADER, *(_JUDGED if judged else ()))
-    rows: list[Sequence[str]] = [header]
-    for name, column in columns.items():
-        cells = [f"`{name}`", column.meaning, column.unit, column.better, column.null]
-        rows.append(cells + (_judged(column) if judged else []))
-    first, *lines = (f"| {' | '.join(row)} |\n" for row in rows)
-    return f"{first}{'|---' * len(header)}|\n{''.join(lines)}"
+    """Markdown lines that define the columns of some groups: a line for columns with the same definition."""
+    names_of: dict[tuple[str, ...], list[str]] = {}
+    for group in groups:
+        for name, column in columns_of(_GROUPS[group]).items():
+            names_of.setdefault(_cells(column), []).append(f"`{name}`")
+    rows = [(", ".join(names), *cells) for cells, names in names_of.items()]
+    judged = any(row[-1] for row in rows)
+    filled = [i for i, name in enumerate(_HEADER) if any(row[i] for row in rows) and (judged or name != "relevant")]
+    first, *lines = (f"| {' | '.join(row[i] for i in filled)} |\n" for row in (_HEADER, *rows))
+    return f"{first}{'|---' * len(filled)}|\n{''.join(lines)}"
 
 
-def _judged(column: Column) -> list[str]:
+def _cells(column: Column) -> tuple[str, ...]:
     limit = "" if column.limit is None else f"{column.limit:g}"
-    return [f"{column.relevant:g}" if column.label else "", limit]
+    relevant = f"{column.relevant:g}" if column.label else ""
+    return column.meaning, column.unit, column.better, column.null, relevant, limit
 
 
 def main() -> None:

@@ -17,7 +17,6 @@ import polars as pl
 import pytest
 
 from roadperc_stream import log
-from tests import errors_page
 from tests.commands import run_forked
 
 ROOT = Path(__file__).parents[1]
@@ -235,11 +234,6 @@ def test_the_tests_of_the_reliability_page_exist():
     named = set(re.findall(r"`(tests/[^`]+)`", (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")))
     assert len(named) > 5
     assert [name for name in named if not (ROOT / name).exists()] == []
-
-
-@pytest.mark.commands
-def test_the_page_of_errors_has_the_messages_as_printed():
-    assert errors_page.PAGE.read_text("utf-8") == errors_page.page(), "make pages writes it"
 
 
 LONGEST_SENTENCE = 30

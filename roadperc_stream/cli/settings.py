@@ -34,12 +34,13 @@ _OF_LOG: Final = (
 _PAGE_HEAD: Final = f"""\
 # Settings
 
-All settings of a replay, with their defaults. Change one with `--set KEY=VALUE`, or several with a TOML file and
-`--config FILE`; `--set` overrides the file. `roadperc-replay --print-config > mine.toml` writes a file to start from.
-`roadperc-replay --list-settings` prints these tables on the terminal, with `--json` for programs.
+Change a setting with `--set KEY=VALUE`, or several with `--config FILE` (TOML); `--set` overrides the file.
+`roadperc-replay --print-config > mine.toml` writes a file to start from. `roadperc-replay --list-settings` prints
+these tables on the terminal, with `--json` for programs.
 
 {_SCALING}
 {_OF_LOG.replace("recordings.md", "[your own recordings](recordings.md#logs-without-a-calibration)")}
+`STAGE.implementation = "MODULE:NAME"` selects [a stage of your own](own_stage.md).
 """
 _LABELS_HEAD: Final = """\
 ## labels
@@ -110,9 +111,9 @@ def as_page() -> str:
     lines = [_PAGE_HEAD]
     for section, settings in _by_section():
         lines += [f"## {section}\n\n{sections()[section]}\n" if section else "## whole replay\n"]
-        lines += ["| setting | default | range | unit | meaning |", "|---|---|---|---|---|"]
-        lines += [*map(_row, settings), ""]
-    lines += ["Classes:\n", *(f"- `{name}`" for name in _CLASS_NAMES), "", _LABELS_HEAD]
+        lines += ["| setting | default | range | meaning |", "|---|---|---|---|"]
+        lines += [*(_row(setting) for setting in settings if not setting.name.startswith("implementation")), ""]
+    lines += ["## Classes\n\n```text", textwrap.fill(", ".join(_CLASS_NAMES), _WIDEST), "```\n", _LABELS_HEAD]
     lines += [f"| `{label}` | {', '.join(classes)} |" for label, classes in sorted(LABEL_CLASSES.items())]
     return "\n".join(lines) + "\n"
 
@@ -135,7 +136,8 @@ def _comment(setting: Setting) -> Iterator[str]:
 
 
 def _row(setting: Setting) -> str:
-    return f"| `{setting.key}` | {_value(setting.default)} | {_range(setting)} | {setting.unit} | {setting.meaning} |"
+    default = f"{_value(setting.default)} {setting.unit}".strip()
+    return f"| `{setting.key}` | {default} | {_range(setting)} | {setting.meaning} |"
 
 
 def _range(setting: Setting) -> str:

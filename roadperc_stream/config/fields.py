@@ -117,12 +117,11 @@ class LimitsConfig(Section):
     """
 
     image_megapixels: Annotated[float, Field(ge=0.01, le=170.0), unit("megapixels")] = 40.0
-    """Largest image, by its header and its calibration; 8K has 33 megapixels."""
+    """Largest image, by its header and its calibration."""
     chunk_mb: Annotated[int, Field(ge=1, le=65_536), unit("MiB")] = 256
-    """Largest decompressed chunk; writers make chunks of 1 to 8 MiB, or of one larger message."""
+    """Largest decompressed chunk."""
     record_mb: Annotated[int, Field(ge=1, le=1_048_576), unit("MiB")] = 1024
-    """Largest record of the file: a compressed chunk, an attachment or a message outside chunks. All attachments and
-    metadata of a log together, which are kept in memory, are at most as large."""
+    """Largest record of the file, and all attachments and metadata together."""
 
     chunk_messages: ClassVar[int] = 1_000_000
     """Most messages in a chunk; a chunk of 8 MiB holds 0.3 million of the shortest messages."""

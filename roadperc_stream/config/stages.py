@@ -38,8 +38,7 @@ class StageSection(Section):
     """The settings of a stage that the user can replace."""
 
     implementation: fields.ImplementationName = BUILT_IN
-    """The code of the stage: ``built-in``, or a class or function of your own, such as ``my_package.module:MyLanes``.
-    A configuration in a log does not import code."""
+    """The code of the stage: ``built-in``, or your own, such as ``my_package.module:MyLanes``."""
     implementation_source: Annotated[str, Field(max_length=1000, json_schema_extra={"remark": "a text"})] = ""
     """Version and digest of the source of your own stage. A replay sets it; a value must match the source."""
     written_if_set = ("implementation", "implementation_source")
@@ -64,25 +63,25 @@ class StereoConfig(StageSection):
     method: Literal["fast", "full", "off"] = "fast"
     """``fast`` matches at half resolution, ``full`` at full resolution; both along three directions."""
     disparities: Annotated[Annotated[int, Field(ge=16, multiple_of=16, le=1024)] | Literal["auto"], unit("px")] = "auto"
-    """Number of disparities to search, from 0; ``auto``: as many as the nearest road pixel needs."""
+    """Number of disparities to search, from 0; ``auto``: up to the nearest road pixel."""
     block_px: fields.OddCount = 5
     """Side of the block that is matched."""
     p1: Annotated[Count, unit("matching cost")] = 200
-    """Penalty for neighbours that differ by one disparity: about 8 per pixel of the block, for grey levels."""
+    """Penalty for neighbours that differ by one disparity: about 8 per pixel of the block."""
     p2: Annotated[Count, unit("matching cost")] = 800
-    """Penalty for neighbours that differ by more; above ``p1``, about 32 per pixel of the block."""
+    """Penalty for neighbours that differ by more: about 32 per pixel of the block."""
     uniqueness_percent: Annotated[int, Field(ge=0, lt=100)] = 10
-    """Margin by which the best cost must beat the costs of disparities that are not next to it; 0: no margin."""
+    """Margin by which the best cost must beat those of other disparities."""
     left_right_px: Count = 1
-    """Largest difference between the disparities of the left and the right image for the same point."""
+    """Largest difference between the left and the right disparity of a point."""
     speckle_px: Annotated[int, Field(ge=0, le=1e4)] = 100
-    """Isolated patches with fewer pixels than this become unknown; 0 keeps all."""
+    """Isolated patches with fewer pixels become unknown."""
     speckle_step_px: Count = 2
     """Largest difference between neighbouring disparities of one patch."""
     refine_px: fields.OddCount | Literal[0] = 7
-    """Side of the window whose gradients refine the disparities; 0 keeps the matched ones, in sixteenths of a pixel."""
+    """Side of the window whose gradients refine the disparities; 0: no refinement."""
     min_disparity_px: Positive = 1.0
-    """Smaller disparities, in pixels of the image, are unknown, because their depth would be mostly error."""
+    """Smaller disparities, in pixels of the image, are unknown."""
 
     @model_validator(mode="after")
     def _penalties_in_order(self) -> Self:
@@ -100,31 +99,29 @@ class SurfaceConfig(StageSection):
     """The drivable surface, by RANSAC on road points."""
 
     enabled: bool = True
-    """Whether to estimate the surface. Lanes, occupancy and the scale of odometry without depth need it."""
+    """Whether to estimate the surface, which lanes and occupancy need."""
     model: Literal["auto", "plane", "spline"] = "auto"
-    """``spline`` adds a smooth height field to the plane, for hilly roads. ``auto`` adds it only in frames whose road
-    differs from the plane by more than the field's own error. Both need depth."""
+    """``spline`` adds a height field to the plane, ``auto`` only where the road is not flat."""
     classes: Classes = ("road", "road_line", "ground")
-    """Drivable classes; a sidewalk is higher than the road and is not drivable."""
+    """Drivable classes."""
     inlier_m: Positive = 0.05
     """Largest distance of an inlier from the plane."""
     hypotheses: Annotated[Count, unit("planes")] = 256
     """Most planes that RANSAC tries."""
     max_depth_m: Positive = 60.0
-    """Largest depth of the points that the plane is fitted to."""
+    """Largest depth of the fitted points."""
     max_tilt_deg: Annotated[float, Field(gt=0.0, lt=90.0)] = 30.0
-    """Largest angle between the plane and the level road that the mounting implies; it excludes walls."""
+    """Largest angle between the plane and the level road of the mounting."""
     assumed_height_m: Positive = 1.5
     """Height of the camera above the road if neither a mounting nor depth gives it."""
     hold_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 30.0
-    """How far the car may drive, by odometry, with the plane of earlier frames while the depth does not show the road.
-    Beyond that the mounting's plane is used."""
+    """Distance over which the plane of earlier frames is held without depth."""
     spline_knot_m: Annotated[float, Field(ge=1.0, le=30.0)] = 5.0
     """Distance between the knots of the height field along the road."""
     spline_curvature_per_m: Positive = 0.005
-    """Standard deviation of the road's vertical curvature; smaller is smoother. A crest of 200 m radius has 0.005."""
+    """Standard deviation of the road's vertical curvature; smaller is smoother."""
     spline_half_width_m: Annotated[float, Field(ge=2.0, le=50.0)] = 10.0
-    """The height field uses points up to this distance to either side of the ego x axis."""
+    """The height field uses points up to this distance to either side."""
 
 
 class LanesConfig(StageSection):
@@ -133,19 +130,19 @@ class LanesConfig(StageSection):
     enabled: bool = True
     """Whether to detect lanes."""
     model: Literal["line", "curve"] = "curve"
-    """``line`` uses only the straight Hough line; ``curve`` fits the boundary on the road and follows bends."""
+    """``line`` uses only the straight Hough line; ``curve`` fits the boundary on the road."""
     separators: Classes = ("road_line", "sidewalk", "rail_track", "guard_rail")
     """Classes whose borders with the road are the edges of a lane."""
     median_px: Annotated[int, Field(ge=0, le=99)] = 5
-    """Size of the median filter on the mask of the separators; 0: no filter."""
+    """Size of the median filter on the separators; 0: no filter."""
     canny_low: Annotated[Positive, unit("grey levels")] = 100.0
-    """Lower threshold of Canny's detector: the least gradient of a pixel that continues an edge."""
+    """Lower threshold of Canny's detector: continues an edge."""
     canny_high: Annotated[Positive, unit("grey levels")] = 150.0
-    """Upper threshold of Canny's detector: the least gradient of a pixel that starts an edge."""
+    """Upper threshold of Canny's detector: starts an edge."""
     canny_aperture: Annotated[Literal[3, 5, 7], unit("px")] = 3
     """Size of the Sobel filter that measures the gradient."""
     hough_rho_px: Pixels = 2.0
-    """Distance resolution of the Hough transform; a coarser one collects more edge pixels in a line."""
+    """Distance resolution of the Hough transform."""
     hough_threshold: Annotated[Positive, unit("px")] = 100.0
     """Least number of edge pixels on a line."""
     hough_min_length_px: Pixels = 100.0
@@ -153,19 +150,18 @@ class LanesConfig(StageSection):
     hough_max_gap_px: Pixels = 50.0
     """Length of the largest gap within a line."""
     fit_strip_m: Positive = 0.3
-    """Half width of the strip around the last fit whose edges the next fit uses."""
+    """Half width of the strip around the last fit for the next one."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 48.8
-    """Squared Mahalanobis distance beyond which a measurement is rejected. It is three times the 99.9 % quantile of
-    chi squared with 3 degrees of freedom, because wrong tags cause larger errors than noise. A measurement far out but
-    within the gate increases the standard deviation."""
+    """Squared Mahalanobis distance beyond which a measurement is rejected: three times the 99.9 % quantile of chi
+    squared, 3 degrees of freedom."""
     car_width_m: Positive = 1.8
-    """Width of the car; it changes lanes while a boundary is under it."""
+    """Width of the car, for lane changes."""
     hold_s: Seconds = 0.5
-    """How long an unseen boundary is held before it is lost; also the time window of the vote on its classes."""
+    """How long an unseen boundary is held before it is lost."""
     use_odometry: bool = True
-    """Whether metric odometry predicts the boundaries from frame to frame."""
+    """Whether metric odometry predicts the boundaries."""
     process_noise: Annotated[float, Field(ge=1e-3, le=100.0), unit("m/s")] = 0.5
-    """Standard deviation of the change of the car's sideways speed within a second, without odometry."""
+    """Standard deviation of the change of lateral speed within a second, without odometry."""
 
 
 class ObjectsConfig(StageSection):
@@ -174,20 +170,19 @@ class ObjectsConfig(StageSection):
     enabled: bool = True
     """Whether to filter and track detections."""
     filter: Literal["region", "class_ratio"] = "region"
-    """``region`` keeps a detection whose box fits pixels of its class that are connected in depth or of one instance.
-    ``class_ratio`` uses the share of the box with its class, and so does ``region`` without dense depth and masks."""
+    """``region`` compares the box with connected pixels of its class, ``class_ratio`` with their share."""
     min_class_ratio: Ratio = 0.3
-    """``class_ratio`` keeps a detection if more than this share of its box has its class."""
+    """Least share of the box with its class, for ``class_ratio``."""
     distance_quantile: Ratio = 0.05
-    """The distance of an object is this quantile of its pixels' distances; 0 is the nearest pixel."""
+    """Quantile of the pixels' distances that is the object's distance; 0: the nearest pixel."""
     distance_pixels: Literal["region", "class", "box"] = "region"
-    """Pixels that determine the distance: the region that fits the box, the pixels of the class in it, or all in it."""
+    """Pixels that determine the distance: the region of the object, its class, or the whole box."""
     hold_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.5
-    """How long an object without a detection is held and searched for in the image."""
+    """How long an object without a detection is searched for."""
     template_search: bool = True
-    """Whether to search for an object without a detection by its last image patch or its depth; decodes the image."""
+    """Whether to search for an object without a detection by its last image patch."""
     carry_after_s: Annotated[float, Field(ge=0.0, le=1e4)] = 0.1
-    """How long an object must be detected without a gap before it is held, so that stray detections are not held."""
+    """How long an object must be detected without a gap before it is held."""
     template_min_score: Ratio = 0.7
     """Least normalised cross-correlation with which a patch is found."""
     template_png: Annotated[
@@ -195,15 +190,15 @@ class ObjectsConfig(StageSection):
     ] = ""
     """Picture of an obstacle to search for in every frame; ``--template`` sets it."""
     template_distance: Literal["ray", "depth"] = "ray"
-    """Distance of that obstacle: along the ray from the camera, or its depth along the camera's axis."""
+    """Distance of that obstacle: along the ray, or along the camera's axis."""
     min_overlap: Ratio = 0.2
-    """Least intersection over union of a detection with the predicted box of the same object."""
+    """Least overlap of a detection with the predicted box of its object."""
     gate: Annotated[Positive, unit("standard deviations, squared")] = 10.83
     """Squared Mahalanobis distance beyond which a distance is rejected: 99.9 % of chi squared, 1 degree of freedom."""
     restart_s: Positive = 0.2
-    """How long distances beyond the gate must continue before the track restarts with them."""
+    """How long distances beyond the gate must continue before the track restarts."""
     min_distance_std_m: Positive = 0.1
-    """Least standard deviation of a measured distance, because the quantile changes with the box."""
+    """Least standard deviation of a measured distance."""
     process_noise: Annotated[Positive, unit("m/s")] = 1.5
     """Standard deviation of the change of an object's closing speed within a second."""
     max_speed_std_mps: Positive = 2.0
@@ -211,13 +206,13 @@ class ObjectsConfig(StageSection):
     min_closing_mps: Positive = 0.5
     """Least closing speed for which a time to impact is reported."""
     min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4), unit("standard deviations")] = 2.0
-    """Least closing speed, in its standard deviations, for which a time to impact is reported."""
+    """The same in standard deviations of the closing speed."""
     car_width_m: Positive = 1.8
-    """Width of the car; its path is wider by ``path_margin_m`` on either side."""
+    """Width of the car, for its path."""
     path_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
-    """An object within this distance beside the car is in its path."""
+    """Width that the path adds on either side."""
     cut_in_mps: Positive = 0.3
-    """Least speed towards the path of an object that crosses the lane's line and cuts in."""
+    """Least speed towards the path of an object that cuts in."""
 
     @model_validator(mode="after")
     def _picture_within_bounds(self) -> Self:
@@ -242,15 +237,15 @@ class OdometryConfig(StageSection):
     matcher: Literal["brute_force", "flann"] = "brute_force"
     """Search for the nearest descriptors."""
     min_rows: Annotated[Count, unit("rows")] = 480
-    """The image is halved as long as it keeps this many rows; more rows take longer and hardly improve the result."""
+    """The image is halved as long as it keeps this many rows."""
     min_inliers: Annotated[Count, unit("points")] = 20
-    """Least number of points that agree on the motion; with fewer the frame is lost."""
+    """Least number of points that agree on the motion; else the frame is lost."""
     max_speed_mps: Positive = 70.0
-    """A faster motion is impossible for the car, and the frame is lost."""
+    """A frame with a faster motion is lost."""
     max_turn_rate_dps: Positive = 120.0
-    """A faster turn is impossible for the car, and the frame is lost."""
+    """A frame with a faster turn is lost."""
     pitch_std_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 2.0
-    """Without depth: standard deviation of the mounting's pitch, which motion corrects; 0 trusts the mounting."""
+    """Standard deviation of the mounting's pitch, without depth; 0 trusts the mounting."""
 
 
 class OccupancyConfig(Section):
@@ -263,21 +258,21 @@ class OccupancyConfig(Section):
     x_min_m: Annotated[float, Field(ge=-65.0, lt=65.0)] = 0.0
     """Nearest edge of the grid, ahead of the ego origin."""
     x_max_m: Annotated[float, Field(gt=-65.0, le=65.0)] = 40.0
-    """Farthest edge of the grid; depth in a log ends at 65.535 m."""
+    """Farthest edge of the grid."""
     half_width_m: Annotated[float, Field(gt=0.0, le=65.0)] = 15.0
     """Extent of the grid to either side."""
     min_height_m: Positive = 0.3
-    """Points of any class above this height over the road are obstacles; a kerb is lower."""
+    """Points of any class above this height over the road are obstacles."""
     max_height_m: Positive = 2.5
-    """Points above this height over the road are not obstacles."""
+    """Points above this height are not obstacles."""
     obstacle_classes: Classes = ("vehicle", "pedestrian")
     """Classes whose points are obstacles at any height."""
     pixel_step: Annotated[Count, unit("px")] = 2
-    """Step between the rows and columns of the image that give a point."""
+    """Step between the used rows and columns of the image."""
     min_points: Annotated[Count, unit("points")] = 3
-    """Least number of points that make a cell occupied or free."""
+    """Least number of points in a known cell."""
     depth_tolerance: Ratio = 0.1
-    """A cell without points is free if its pixel is drivable and its depth agrees up to this share."""
+    """A cell without points is free if its pixel is drivable and its depth agrees to this share."""
 
     @model_validator(mode="after")
     def _extents(self) -> Self:
@@ -292,9 +287,9 @@ class ReplayConfig(Section):
     """All settings that the results of a replay depend on."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    """Seed of the random numbers, together with the frame's stamp; the same seed gives the same results."""
+    """Seed of the random numbers, together with the frame's stamp."""
     tag_table: fields.TableName = "auto"
-    """Table of the segmentation's tag numbers: a CARLA version or a table's name; ``auto`` uses the log's table."""
+    """Table of the segmentation's tag numbers; ``auto`` uses the log's table."""
     sync: SyncConfig = SyncConfig()
     stereo: StereoConfig = StereoConfig()
     surface: SurfaceConfig = SurfaceConfig()

@@ -18,7 +18,7 @@ class SurfaceErrorColumns:
     surface_angle_error_deg: Annotated[
         float | None,
         _score(
-            "angle between the two unit normals in the ego frame, atan2(norm(cross(n, n*)), dot(n, n*))",
+            "angle between the normals in the ego frame, atan2(norm(cross(n, n*)), dot(n, n*))",
             "deg",
             _NO_TRUE_PLANE,
             "surface angle error",
@@ -29,7 +29,7 @@ class SurfaceErrorColumns:
     camera_height_error_m: Annotated[
         float | None,
         _score(
-            "h - h*, the height of the camera the depth belongs to",
+            "h - h*, the height of the depth's camera",
             "m",
             _NO_TRUE_PLANE,
             "camera height error",
@@ -41,7 +41,7 @@ class SurfaceErrorColumns:
     surface_height_error_m: Annotated[
         float | None,
         _score(
-            "median of abs(z - z*) at the nodes of the true height grid with 5 m <= x <= 40 m and abs(y) < 4 m",
+            "median of abs(z - z*) at the true height grid's nodes with 5 m <= x <= 40 m and abs(y) < 4 m",
             "m",
             "no plane, or no true grid there",
             "road height error",
@@ -52,10 +52,9 @@ class SurfaceErrorColumns:
     drivable_iou: Annotated[
         float | None,
         _score(
-            "intersection over union of the drivable mask A and of B: pixels with a drivable true tag, "
-            "by true depth within 0.15 m of the true road",
+            "intersection over union with the pixels that have a drivable true tag within 0.15 m of the true road",
             RATIO,
-            "no mask, or one of the three is missing; both masks empty",
+            "a mask or the truth is missing; both masks empty",
             "drivable IoU",
             3,
             better="high",
@@ -66,8 +65,7 @@ class SurfaceErrorColumns:
 
 def _lane_error(side: str) -> Column:
     return _score(
-        "y(10 m) - y*(10 m) with y(x) = offset + heading x + curvature x² / 2, in the ego frame; positive where the "
-        "estimate lies farther left",
+        "y(10 m) - y*(10 m) in the ego frame, positive to the left, with y(x) = offset + heading x + curvature x² / 2",
         "m",
         "boundary lost, or the true line does not reach 10 m",
         f"lane {side} error at 10 m",
@@ -85,8 +83,8 @@ class LaneErrorColumns:
     lane_right_error_m: Annotated[float | None, _lane_error("right")] = None
 
 
-_TRUE_CLASS = Column("true class beyond the boundary", null="no true boundary, or its class is not recorded")
-_TRUE_OFFSET = Column("true lateral offset at x = 0, to compare the smoothed offset with", "m", "no true boundary")
+_TRUE_CLASS = Column("true class beyond the boundary", null="no true boundary or class")
+_TRUE_OFFSET = Column("true lateral offset at x = 0", "m", "no true boundary")
 
 
 @dataclass(frozen=True)
@@ -104,14 +102,14 @@ class TrueLaneColumns:
     ] = None
     true_lane_changes: Annotated[
         int | None,
-        Column("true number of lanes that the car's reference point has entered", COUNT, "the log has no such truth"),
+        Column("true number of lanes that the ego origin has entered", COUNT, "the log has no such truth"),
     ] = None
     lane_true_heading_deg: Annotated[
         float | None,
         Column(
-            "true heading, the mean over the boundaries of `lane_heading_deg`",
+            "true heading, the mean over the boundaries",
             "deg",
-            "both boundaries are lost, or one of them has no true heading",
+            "both boundaries lost, or no true heading",
         ),
     ] = None
     lane_left_true_boundary_class: Annotated[str | None, _TRUE_CLASS] = None
@@ -119,7 +117,7 @@ class TrueLaneColumns:
 
 
 def _culane(what: str, threshold: str) -> Column:
-    return Column(f"{what} at an intersection over union above {threshold}, lines drawn 30 px wide", COUNT)
+    return Column(f"{what} at an overlap above {threshold}, lines drawn 30 px wide", COUNT)
 
 
 @dataclass(frozen=True)
@@ -129,10 +127,8 @@ class LaneScoreColumns:
     lane_tusimple_accuracy: Annotated[
         float | None,
         _score(
-            "mean over the true lanes of the share of rows where the best found lane is right: "
-            "abs(x - x*) < 20 px / cos(a). Here a is the angle between the true lane's fitted line and the vertical. A "
-            "row without a point in either lane is right. Rows are the multiples of 10 px from the true lines' top to "
-            "the image's bottom",
+            "share of rows where abs(x - x*) < 20 px / cos(a), mean over the true lanes; a is the true lane's angle to "
+            "the vertical",
             RATIO,
             "",
             "lane points (TuSimple)",
@@ -144,7 +140,7 @@ class LaneScoreColumns:
     lane_tusimple_fp: Annotated[
         float | None,
         _score(
-            "(found lanes - matched true lanes) / found lanes; a true lane is matched at an accuracy of 0.85 or more",
+            "(found lanes - matched true lanes) / found lanes; matched at an accuracy of 0.85 or more",
             RATIO,
             "",
             "wrong lanes (TuSimple)",
@@ -158,11 +154,11 @@ class LaneScoreColumns:
         _score("unmatched true lanes / true lanes", RATIO, "", "missed lanes (TuSimple)", 3, limit=0.4, relevant=0.01),
     ] = None
     lane_culane_tp_50: Annotated[int | None, _culane("true positives", "0.5")] = None
-    lane_culane_fp_50: Annotated[int | None, _culane("false positives: other found lines", "0.5")] = None
-    lane_culane_fn_50: Annotated[int | None, _culane("false negatives: other true lines", "0.5")] = None
+    lane_culane_fp_50: Annotated[int | None, _culane("false positives", "0.5")] = None
+    lane_culane_fn_50: Annotated[int | None, _culane("false negatives", "0.5")] = None
     lane_culane_tp_30: Annotated[int | None, _culane("true positives", "0.3")] = None
-    lane_culane_fp_30: Annotated[int | None, _culane("false positives: other found lines", "0.3")] = None
-    lane_culane_fn_30: Annotated[int | None, _culane("false negatives: other true lines", "0.3")] = None
+    lane_culane_fp_30: Annotated[int | None, _culane("false positives", "0.3")] = None
+    lane_culane_fn_30: Annotated[int | None, _culane("false negatives", "0.3")] = None
 
 
 @dataclass(frozen=True)
@@ -172,9 +168,9 @@ class ObjectErrorColumns:
     object_distance_error_m: Annotated[
         float | None,
         _score(
-            "mean of abs(d - d*) over kept detections with both distances",
+            "mean of abs(d - d*) over kept detections",
             "m",
-            "no such detection",
+            "no kept detection with both distances",
             "object distance error",
             3,
             limit=1.0,
@@ -182,9 +178,9 @@ class ObjectErrorColumns:
         ),
     ] = None
     filter_tp: Annotated[int | None, Column("kept detections that match a true object", COUNT)] = None
-    filter_fp: Annotated[int | None, Column("kept detections that do not", COUNT)] = None
+    filter_fp: Annotated[int | None, Column("other kept detections", COUNT)] = None
     filter_fn: Annotated[int | None, Column("dropped detections that match a true object", COUNT)] = None
-    filter_tn: Annotated[int | None, Column("dropped detections that do not", COUNT)] = None
+    filter_tn: Annotated[int | None, Column("other dropped detections", COUNT)] = None
     filter_precision: Annotated[
         float | None,
         _score("tp / (tp + fp)", RATIO, "nothing was kept", "filter precision", 3, better="high", relevant=0.01),
@@ -207,10 +203,10 @@ class ObjectErrorColumns:
 class TrueObjectColumns:
     """The true objects of the frame, also those without a detection."""
 
-    true_object_labels: Annotated[tuple[str, ...], Column("classes of the true objects with a distance")] = ()
+    true_object_labels: Annotated[tuple[str, ...], Column("classes of true objects with a distance")] = ()
     true_object_distances_m: Annotated[tuple[float, ...], Column("their distances", "m")] = ()
     true_object_laterals_m: Annotated[
-        tuple[float, ...], Column("their lateral distances from the path's middle; empty if one has none", "m")
+        tuple[float, ...], Column("their lateral distances from the path's middle", "m")
     ] = ()
 
 
@@ -221,17 +217,17 @@ class TrueImpactColumns:
     true_time_to_impact_s: Annotated[
         float | None,
         Column(
-            "smallest true time to impact of the objects in the path: range / range rate",
+            "smallest true time to impact in the path",
             "s",
-            "no object in the path comes nearer, or the log does not say which objects are in it",
+            "no object in the path comes nearer, or no such truth",
         ),
     ] = None
     time_to_impact_error_s: Annotated[
         float | None,
         _score(
-            "t - t*, the smallest time to impact of the objects in the path",
+            "t - t*, the smallest time to impact in the path",
             "s",
-            "either is not known",
+            "either is unknown",
             "time to impact error",
             3,
             better="near 0",
@@ -259,7 +255,7 @@ class StereoErrorColumns:
     stereo_coverage: Annotated[
         float | None,
         _score(
-            "share of the counted pixels that have a disparity",
+            "share of counted pixels with a disparity",
             RATIO,
             "",
             "stereo true pixels known",
@@ -277,9 +273,9 @@ class OdometryErrorColumns:
     step_error_m: Annotated[
         float | None,
         _score(
-            "length of the translation of E = (T*ₖ₋₁⁻¹ T*ₖ)⁻¹ S, S the estimated step since the last frame",
+            "length of the translation of E = (T*ₖ₋₁⁻¹ T*ₖ)⁻¹ S, with S the estimated step",
             "m",
-            "no step, no true pose at either end, or a step without scale",
+            "no step, true pose or scale",
             "step error",
             4,
             limit=0.05,
@@ -291,7 +287,7 @@ class OdometryErrorColumns:
         _score(
             "angle of the rotation of E",
             "deg",
-            "no step, or no true pose at either end",
+            "no step or true pose",
             "turn error",
             4,
             limit=0.2,
@@ -300,9 +296,13 @@ class OdometryErrorColumns:
     ] = None
     true_step_m: Annotated[
         float | None,
-        Column("true length of the step of `step_m`", "m", "no step, or no true pose at either end"),
+        Column("true `step_m`", "m", "no step or true pose"),
     ] = None
-    true_turn_deg: Annotated[float | None, Column("true angle of the turn of `turn_deg`", "deg", "the same")] = None
+    true_turn_deg: Annotated[float | None, Column("true `turn_deg`", "deg", "no step or true pose")] = None
+
+
+_POSITION = "true position of the ego frame in odom"
+_ORIENTATION = "true orientation, unit quaternion"
 
 
 def _true_pose(what: str, unit: str = "") -> Column:
@@ -313,10 +313,10 @@ def _true_pose(what: str, unit: str = "") -> Column:
 class TruePoseColumns:
     """The true pose odom_T_ego, so that the table alone is enough to evaluate trajectories."""
 
-    true_x_m: Annotated[float | None, _true_pose("true position of the ego frame in odom, x", "m")] = None
-    true_y_m: Annotated[float | None, _true_pose("the same, y", "m")] = None
-    true_z_m: Annotated[float | None, _true_pose("the same, z", "m")] = None
-    true_qx: Annotated[float | None, _true_pose("its orientation, unit quaternion, x")] = None
-    true_qy: Annotated[float | None, _true_pose("the same, y")] = None
-    true_qz: Annotated[float | None, _true_pose("the same, z")] = None
-    true_qw: Annotated[float | None, _true_pose("the same, w")] = None
+    true_x_m: Annotated[float | None, _true_pose(_POSITION, "m")] = None
+    true_y_m: Annotated[float | None, _true_pose(_POSITION, "m")] = None
+    true_z_m: Annotated[float | None, _true_pose(_POSITION, "m")] = None
+    true_qx: Annotated[float | None, _true_pose(_ORIENTATION)] = None
+    true_qy: Annotated[float | None, _true_pose(_ORIENTATION)] = None
+    true_qz: Annotated[float | None, _true_pose(_ORIENTATION)] = None
+    true_qw: Annotated[float | None, _true_pose(_ORIENTATION)] = None

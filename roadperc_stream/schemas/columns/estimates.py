@@ -26,7 +26,7 @@ class SurfaceColumns:
     surface_inlier_ratio: Annotated[
         float | None,
         Column(
-            "share of the points considered that lie on the plane",
+            "share of the considered points on the plane",
             RATIO,
             _NO_PLANE,
             label="surface inlier ratio",
@@ -36,19 +36,15 @@ class SurfaceColumns:
     ] = None
     camera_height_m: Annotated[
         float | None,
-        Column(
-            "height of the camera the depth belongs to over the road", "m", _NO_PLANE, label="camera height", decimals=3
-        ),
+        Column("height of the depth's camera above the road", "m", _NO_PLANE, label="camera height", decimals=3),
     ] = None
     camera_pitch_deg: Annotated[
         float | None,
-        _shown_beside("pitch of that camera against the road, nose down positive", "deg", _NO_PLANE, "camera pitch", 3),
+        _shown_beside("its pitch against the road, nose down positive", "deg", _NO_PLANE, "camera pitch", 3),
     ] = None
     camera_roll_deg: Annotated[
         float | None,
-        _shown_beside(
-            "roll of that camera against the road, right side down positive", "deg", _NO_PLANE, "camera roll", 3
-        ),
+        _shown_beside("its roll against the road, right side down positive", "deg", _NO_PLANE, "camera roll", 3),
     ] = None
     drivable_ratio: Annotated[
         float | None,
@@ -57,27 +53,24 @@ class SurfaceColumns:
     surface_source: Annotated[
         str | None,
         Column(
-            "source of the plane: `depth`, `stereo`, `lidar`, `lower_image` (depth without tags), `held` (earlier "
-            "frames, moved by odometry), `estimated` (the mounting, with estimated pitch) or `assumed` (the mounting)",
+            "[source of the plane](chain.md#the-road): `depth`, `stereo`, `lidar`, `lower_image`, `held`, "
+            "`estimated` or `assumed`",
             null=_NO_PLANE,
         ),
     ] = None
-    surface_model: Annotated[
-        str | None, Column("`plane`, or `spline` if the road also has a height field", null=_NO_PLANE)
-    ] = None
+    surface_model: Annotated[str | None, Column("`plane`, or `spline` with a height field", null=_NO_PLANE)] = None
 
 
-def _status(side: str) -> Column:
-    return Column(f"status of the {side} boundary: `measured`, `held` (predicted without a measurement) or `lost`")
+_STATUS = Column("`measured`, `held` (predicted without a measurement) or `lost`")
 
 
 def _offset(side: str) -> Column:
-    meaning = "smoothed lateral offset of the boundary at the ego origin (x = 0), positive to the left"
+    meaning = "smoothed lateral offset at the ego origin (x = 0), positive to the left"
     return Column(meaning, "m", "boundary lost", label=f"{side} offset", decimals=2)
 
 
 def _raw_offset(side: str) -> Column:
-    meaning = "the same as measured in this frame alone"
+    meaning = "lateral offset as measured in this frame alone"
     return Column(meaning, "m", "boundary held or lost", label=f"{side} raw_offset", decimals=2)
 
 
@@ -87,28 +80,28 @@ _BOUNDARY_CLASS = Column(
 _BOTH_LOST = "both boundaries are lost"
 
 
-_OFFSET_STD = Column("standard deviation of the smoothed offset, by the filter's own covariance", "m", "boundary lost")
+_OFFSET_STD = Column("standard deviation of the smoothed offset, by the filter's covariance", "m", "boundary lost")
 
 
 @dataclass(frozen=True)
 class LaneColumns:
     """The two boundaries of the ego lane."""
 
-    lane_left_status: Annotated[str | None, _status("left")] = None
+    lane_left_status: Annotated[str | None, _STATUS] = None
     lane_left_offset_m: Annotated[float | None, _offset("left")] = None
     lane_left_raw_offset_m: Annotated[float | None, _raw_offset("left")] = None
     lane_left_boundary_class: Annotated[str | None, _BOUNDARY_CLASS] = None
-    lane_right_status: Annotated[str | None, _status("right")] = None
+    lane_right_status: Annotated[str | None, _STATUS] = None
     lane_right_offset_m: Annotated[float | None, _offset("right")] = None
     lane_right_raw_offset_m: Annotated[float | None, _raw_offset("right")] = None
     lane_right_boundary_class: Annotated[str | None, _BOUNDARY_CLASS] = None
     lane_width_m: Annotated[
-        float | None, _shown_beside("left offset less right offset", "m", "a boundary is lost", "lane width", 3)
+        float | None, _shown_beside("left offset minus right offset", "m", "a boundary is lost", "lane width", 3)
     ] = None
     lane_heading_deg: Annotated[
         float | None,
         _shown_beside(
-            "mean heading of the boundaries against the car's axis, positive to the left",
+            "mean heading of the boundaries, positive to the left",
             "deg",
             _BOTH_LOST,
             "lane heading",
@@ -119,22 +112,20 @@ class LaneColumns:
     lane_right_offset_std_m: Annotated[float | None, _OFFSET_STD] = None
     lane_heading_std_deg: Annotated[
         float | None,
-        Column("standard deviation of `lane_heading_deg`, by the filter's own covariance", "deg", _BOTH_LOST),
+        Column("standard deviation of `lane_heading_deg`", "deg", _BOTH_LOST),
     ] = None
     lane_change: Annotated[
         str | None,
         Column(
-            "`left` or `right` while part of the car is over the line on its way into another lane, else `none`",
+            "`left` or `right` while part of the car is over the line, else `none`",
             null=_NOT_RUN,
         ),
     ] = None
     lane_changes: Annotated[
-        int | None, Column("lines that the car's reference point has crossed since the first frame", COUNT, _NOT_RUN)
+        int | None, Column("lines that the ego origin has crossed since the first frame", COUNT, _NOT_RUN)
     ] = None
     lane_proposals: Annotated[int | None, _count("lines found in the image", "lane lines proposed")] = None
-    lane_merged: Annotated[int | None, _count("lines left after neighbouring ones are merged", "lane lines merged")] = (
-        None
-    )
+    lane_merged: Annotated[int | None, _count("lines after merging", "lane lines merged")] = None
 
 
 @dataclass(frozen=True)
@@ -142,21 +133,19 @@ class ObjectColumns:
     """Numbers of detections, and the nearest and most urgent ones."""
 
     detections: Annotated[
-        int | None, Column("detections of the detector", COUNT, _NOT_RUN, label="detections a frame", decimals=1)
+        int | None, Column("all detections", COUNT, _NOT_RUN, label="detections a frame", decimals=1)
     ] = None
-    detections_kept: Annotated[int | None, _count("of these, kept by the filter", "detections kept")] = None
+    detections_kept: Annotated[int | None, _count("kept by the filter", "detections kept")] = None
     detections_unjudged: Annotated[
         int | None,
         _count(
-            "of these, kept because nothing could verify them: no segmentation, or a label without classes",
+            "kept without a check: no segmentation, or an unknown label",
             "detections unverified",
         ),
     ] = None
     objects_carried: Annotated[
         int | None,
-        _count(
-            "objects the detector missed in this frame, found by their image patch or their depth", "objects carried"
-        ),
+        _count("objects that the detector missed, found by image patch or depth", "objects carried"),
     ] = None
     nearest_object_m: Annotated[
         float | None,
@@ -166,7 +155,7 @@ class ObjectColumns:
     time_to_impact_s: Annotated[
         float | None,
         _shown_beside(
-            "smallest time to impact of the kept objects in the path: distance over closing speed",
+            "smallest time to impact in the path",
             "s",
             "none in the path comes nearer",
             "time to impact",
@@ -177,8 +166,7 @@ class ObjectColumns:
     path_source: Annotated[
         str | None,
         Column(
-            "source of the car's path: `lane` (its middle), `boundary` (along the one that is known), "
-            "`odometry` (the circle on which the car drives) or `straight` (nothing is known)",
+            "source of the [path](#what-is-in-the-path): `lane`, `boundary`, `odometry` or `straight`",
             null=_NOT_RUN,
         ),
     ] = None
@@ -187,13 +175,13 @@ class ObjectColumns:
         _count(
             "kept objects in the path",
             "objects in the path",
-            "the stage did not run, or no kept object is known to be inside or outside the path",
+            "the stage did not run, or no object has a place",
         ),
     ] = None
     cut_ins: Annotated[
         int | None,
         _count(
-            "kept objects beside the path, over the lane's line and moving in",
+            "kept objects that move into the path",
             "cut-ins",
             "the stage did not run, or no lane is known",
         ),
@@ -214,8 +202,12 @@ class StereoColumns:
     ] = None
 
 
+_POSITION = "position of the ego frame in odom"
+_ORIENTATION = "orientation, unit quaternion"
+
+
 def _pose(what: str, unit: str = "") -> Column:
-    return Column(what, unit, "as the status, or the length of the step is unknown")
+    return Column(what, unit, "as the status, or unknown scale")
 
 
 @dataclass(frozen=True)
@@ -243,10 +235,10 @@ class OdometryColumns:
         float | None,
         Column("standard deviation of `turn_deg`", "deg", "no step, no covariance", label="turn std", decimals=4),
     ] = None
-    odom_x_m: Annotated[float | None, _pose("position of the ego frame in odom, x", "m")] = None
-    odom_y_m: Annotated[float | None, _pose("the same, y", "m")] = None
-    odom_z_m: Annotated[float | None, _pose("the same, z", "m")] = None
-    odom_qx: Annotated[float | None, _pose("its orientation, unit quaternion, x")] = None
-    odom_qy: Annotated[float | None, _pose("the same, y")] = None
-    odom_qz: Annotated[float | None, _pose("the same, z")] = None
-    odom_qw: Annotated[float | None, _pose("the same, w")] = None
+    odom_x_m: Annotated[float | None, _pose(_POSITION, "m")] = None
+    odom_y_m: Annotated[float | None, _pose(_POSITION, "m")] = None
+    odom_z_m: Annotated[float | None, _pose(_POSITION, "m")] = None
+    odom_qx: Annotated[float | None, _pose(_ORIENTATION)] = None
+    odom_qy: Annotated[float | None, _pose(_ORIENTATION)] = None
+    odom_qz: Annotated[float | None, _pose(_ORIENTATION)] = None
+    odom_qw: Annotated[float | None, _pose(_ORIENTATION)] = None

@@ -21,7 +21,7 @@ TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in TIMED_STAGES)
 class FrameKey:
     """The identity of a frame."""
 
-    log_id: Annotated[str, Column("first 16 hexadecimal digits of the digest of the input's messages")]
+    log_id: Annotated[str, Column("digest of the input's messages, 16 digits")]
     frame: Annotated[int, Column("number of the frame in the replay, from 0")]
     stamp_ns: Annotated[int, Column("time stamp of the frame", "ns")]
 
@@ -31,14 +31,14 @@ class InputColumns:
     """The input of a frame."""
 
     segment: Annotated[
-        int, Column("number of times that the stamps restarted or jumped ahead by more than an hour before the frame")
+        int, Column("number of the [segment](recordings.md#late-messages-and-other-recordings-in-one-file), from 0")
     ] = 0
     sync_skew_ms: Annotated[
         float | None,
         Column(
-            "largest distance of a sensor's stamp from the frame's",
+            "largest difference of a sensor's stamp",
             "ms",
-            "no other sensor has a message for the frame",
+            "no other sensor in the frame",
             label="sync skew",
             decimals=1,
         ),
@@ -46,11 +46,9 @@ class InputColumns:
     missing: Annotated[tuple[str, ...], Column("roles of the log without a message for the frame")] = ()
     reasons: Annotated[
         tuple[Reason, ...],
-        Column("why an output is missing or incomplete: structs of `source`, `code`, `values` and `cause`"),
+        Column("why an output is missing or incomplete: see [reasons](#reasons)"),
     ] = ()
-    reason_codes: Annotated[
-        tuple[str, ...], Column("source and code of each reason, for conditions, as `lanes.no_surface`")
-    ] = ()
+    reason_codes: Annotated[tuple[str, ...], Column("source and code of each reason, as `lanes.no_surface`")] = ()
 
 
 @dataclass(frozen=True)
@@ -94,32 +92,29 @@ class ObjectMetrics(FrameKey):
     track_id: Annotated[str | None, Column("the object's track through the log", null="not tracked")]
     label: Annotated[str, Column("class by the detector")]
     score: Annotated[float, Column("the detector's confidence, 0 to 1")]
-    x_min_px: Annotated[float, Column("box: left edge, from the image's left edge", "px")]
-    y_min_px: Annotated[float, Column("box: upper edge, from the image's upper edge", "px")]
-    x_max_px: Annotated[float, Column("box: right edge, exclusive", "px")]
-    y_max_px: Annotated[float, Column("box: lower edge, exclusive", "px")]
+    x_min_px: Annotated[float, Column("box: upper left corner", "px")]
+    y_min_px: Annotated[float, Column("box: upper left corner", "px")]
+    x_max_px: Annotated[float, Column("box: lower right corner, exclusive", "px")]
+    y_max_px: Annotated[float, Column("box: lower right corner, exclusive", "px")]
     class_ratio: Annotated[
         float | None,
-        Column("share of the box's pixels that are of the label's classes", RATIO, "no tags, or an unknown label"),
+        Column("share of the box's pixels with the label's classes", RATIO, "no tags, or an unknown label"),
     ]
     kept: Annotated[bool, Column("passed the filter")]
     distance_m: Annotated[
         float | None,
         Column(
-            "straight-line distance from the camera: the quantile `objects.distance_quantile` over its own pixels, "
-            "or without depth from the ground contact",
+            "straight-line distance from the camera",
             "m",
-            "no depth there, beyond its range, or too uncertain without depth",
+            "no depth there, beyond its range, or too uncertain",
         ),
     ]
     distance_std_m: Annotated[float | None, Column("its standard deviation", "m", "the same")]
     distance_source: Annotated[
         str | None,
-        Column("`depth`, or `ground`: the contact of the box's lower edge with the road", null="no distance"),
+        Column("`depth`, or `ground`: where the box meets the road", null="no distance"),
     ]
-    closing_speed_mps: Annotated[
-        float | None, Column("rate at which the distance shrinks, positive when approaching", "m/s", _NOT_TRACKED)
-    ]
+    closing_speed_mps: Annotated[float | None, Column("positive when approaching", "m/s", _NOT_TRACKED)]
     closing_speed_std_mps: Annotated[float | None, Column("its standard deviation", "m/s", "the same")]
     time_to_impact_s: Annotated[
         float | None,
@@ -127,14 +122,14 @@ class ObjectMetrics(FrameKey):
     ]
     time_to_impact_std_s: Annotated[float | None, Column("its standard deviation", "s", "the same")]
     lateral_m: Annotated[
-        float | None, Column("distance of its middle to the left of the middle of the car's path", "m", _NO_PLACE)
+        float | None, Column("distance of its middle from the path, positive to the left", "m", _NO_PLACE)
     ]
-    in_path: Annotated[bool | None, Column("whether any of it is in the car's path", null=_NO_PLACE)]
+    in_path: Annotated[bool | None, Column("any of it is in the path", null=_NO_PLACE)]
     cut_in: Annotated[
         bool | None,
-        Column("whether it is not in the path, but over the lane's line and moving in", null="the same, or no lane"),
+        Column("it moves into the path, over the lane's line", null="the same, or no lane"),
     ]
-    status: Annotated[str, Column("`measured` (detected), `tracked` (found without a detection) or `lost`")]
+    status: Annotated[str, Column("`measured`, `tracked` (found without a detection) or `lost`")]
     beyond_range: Annotated[bool, Column("the depth saturates there")]
     is_true: Annotated[bool | None, Column("matches a true object", null="the log has no true objects")]
     true_distance_m: Annotated[float | None, Column("distance of that object", "m", _NO_TRUTH)]
@@ -142,15 +137,13 @@ class ObjectMetrics(FrameKey):
     true_time_to_impact_s: Annotated[
         float | None,
         Column(
-            "the recorded true value, else its distance / its closing speed",
+            "the recorded value, else distance / closing speed",
             "s",
-            "no true object, it does not come nearer, or is truly beside the path",
+            "no true object, not nearing, or beside the path",
         ),
     ]
     true_lateral_m: Annotated[
         float | None,
-        Column("true lateral distance of its middle from the path's middle", "m", "the log has no such truth"),
+        Column("true `lateral_m`", "m", "the log has no such truth"),
     ]
-    true_in_path: Annotated[
-        bool | None, Column("whether any of it is truly in the path", null="the log has no such truth")
-    ]
+    true_in_path: Annotated[bool | None, Column("true `in_path`", null="the log has no such truth")]

@@ -29,10 +29,8 @@ _UNKNOWN = "the log could not be read"
 class RunRow:
     """A log under one configuration: its outcome, duration, code and settings."""
 
-    log_id: Annotated[
-        str | None, Column("digest of the log's messages, the first 16 hexadecimal digits", null=_UNKNOWN)
-    ]
-    config: Annotated[str, Column("short name of the configuration: digest of settings and options, 8 digits")]
+    log_id: Annotated[str | None, Column("digest of the log's messages, 16 digits", null=_UNKNOWN)]
+    config: Annotated[str, Column("digest of settings and options, 8 digits")]
     status: Annotated[
         str, Column("`done`, `empty`, `damaged`, `unfit`, `timeout`, `memory`, `killed` or `unreachable`")
     ]
@@ -47,17 +45,15 @@ class RunRow:
     dropped: Annotated[int, Column("messages that belong to no frame", COUNT)]
     unreadable: Annotated[int, Column("messages that could not be decoded", COUNT)]
     warnings: Annotated[tuple[str, ...], Column("messages saved and lost with `--recover`, and other warnings")]
-    findings: Annotated[
-        tuple[str, ...], Column("contradictions between inputs, or between inputs and results, as `code: text`")
-    ]
+    findings: Annotated[tuple[str, ...], Column("the [findings](findings.md), as `code: text`")]
     seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
     peak_memory_mb: Annotated[float | None, Column("peak memory of its process", "MB", "the process was killed")]
     version: Annotated[str, Column("version of the program")]
-    code: Annotated[str, Column("version of the results; it is raised when the chain computes other values")]
+    code: Annotated[str, Column("version of the results, raised when values change")]
     libraries: Annotated[str, Column("versions of the libraries that compute")]
     config_digest: Annotated[str, Column("digest of the settings, as in the tables' footers")]
     settings: Annotated[str, Column("the settings that are not the default, as TOML")]
-    options: Annotated[str, Column("the other options that results depend on, as on the command line")]
+    options: Annotated[str, Column("other options that results depend on")]
     recover: Annotated[bool, Column("whether `--recover` was given")]
     logs: Annotated[str, Column("the result log in the dataset: `no`, `whole`, or `results` without the input")]
     digest_algorithm: Annotated[str, Column("algorithm of `log_id`")]
