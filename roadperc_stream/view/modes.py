@@ -13,7 +13,7 @@ from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import ns_to_seconds
 from roadperc_stream.view.differences import find_differences
 from roadperc_stream.view.frame_times import Stop
-from roadperc_stream.view.layout.arrangement import write_layout
+from roadperc_stream.view.layout.filling import write_layout
 from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video

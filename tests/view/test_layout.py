@@ -12,30 +12,19 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream import log
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import ChannelError, TargetError
+from roadperc_stream.errors import ChannelError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.protobuf import MESSAGE_TYPES
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.schemas.topics import LIVE_ONLY, METRICS_TOPIC, ON_REQUEST, RESULTS, TIMES_TOPIC, result_schemas
-from roadperc_stream.view.layout.arrangement import layout_of, write_layout
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
-from roadperc_stream.view.layout.panels import column, panel, row, tabs
+from roadperc_stream.view.layout.filling import layout_of, write_layout
 from tests import logs
 from tests.replaying import replay
 
 SCHEMAS = {role.topic: role.schema for role in ROLES.values()} | result_schemas(["overlay", "debug"]) | LIVE_ONLY
-IMAGES = {"foxglove.CompressedImage", "sensor_msgs/msg/Image"}
-IN_SPACE = {
-    "foxglove.SceneUpdate",
-    "foxglove.FrameTransforms",
-    "foxglove.CameraCalibration",
-    "foxglove.PointCloud",
-    "foxglove.PoseInFrame",
-    "foxglove.PosesInFrame",
-    "nav_msgs/msg/OccupancyGrid",
-}
 EVERYTHING = replace(OF_A_LIVE_REPLAY, results=OF_A_LIVE_REPLAY.results | set(ON_REQUEST))
 
 
@@ -58,56 +47,39 @@ def arranged(layout, node):
     return [node, *(key for tab in parts for key in arranged(layout, tab["layout"]))]
 
 
-def made_topics(layout):
-    """The input topic of each topic that a script of the layout writes."""
-    made = {}
-    for script in layout["userNodes"].values():
-        source = script["sourceCode"]
-        made[re.search(r'^export const output = "(.+)";$', source, re.M)[1]] = re.search(
-            r'^export const inputs = \["(.+)"\];$', source, re.M
-        )[1]
-    return made
-
-
-def drawn(layout):
-    """Each topic or path that a panel draws, with the schemas that the panel supports; None for any."""
+def shown(layout):
+    """Each topic, or topic and column, that a panel shows."""
+    found = set()
     for config in panels_of(layout, "Image").values():
-        yield config["imageMode"]["imageTopic"], IMAGES
-        yield from ((topic, {"foxglove.ImageAnnotations"}) for topic in config["imageMode"].get("annotations", ()))
+        found |= {config["imageMode"]["imageTopic"], *config["imageMode"].get("annotations", ())}
     for config in panels_of(layout, "3D").values():
-        yield from ((topic, IN_SPACE) for topic in config["topics"])
+        found |= set(config["topics"])
     for config in [*panels_of(layout, "Plot").values(), *panels_of(layout, "StateTransitions").values()]:
-        yield from ((path["value"], {SCHEMAS[METRICS_TOPIC], SCHEMAS[TIMES_TOPIC]}) for path in config["paths"])
-    for config in panels_of(layout, "RosOut").values():
-        yield config["topicToRender"], {"foxglove.Log"}
-    for config in panels_of(layout, "RawMessages").values():
-        yield config["topicPath"], None
-    made = made_topics(layout)
-    for config in panels_of(layout, "Table").values():
-        yield made[config["topicPath"].removesuffix(".rows")], {"roadperc.Objects", "roadperc.Detections"}
+        found |= {path["value"] for path in config["paths"]}
+    found |= {config["topicToRender"] for config in panels_of(layout, "RosOut").values()}
+    found |= {config["topicPath"] for config in panels_of(layout, "RawMessages").values()}
+    for name, script in layout["userNodes"].items():
+        assert layout["configById"][f"Table!{name}"]["topicPath"] == f"/studio_script/{name}.rows"
+        assert f'export const output = "/studio_script/{name}";' in script["sourceCode"]
+        found.add(re.search(r'^export const inputs = \["(.+)"\];$', script["sourceCode"], re.M)[1])
+    return found
+
+
+def topics_shown(layout):
+    return {path.partition(".")[0] for path in shown(layout)}
 
 
 def check(layout, topics):
-    """The layout has the form that both viewers read, and every panel draws one of ``topics``."""
+    """The layout has the form that both viewers read, and every panel shows one of ``topics``."""
     assert layout.keys() - {"layout"} == {"configById", "globalVariables", "userNodes", "playbackConfig"}
     root = layout.get("layout")
     assert sorted(arranged(layout, root) if root else []) == sorted(layout["configById"])
     for config in panels_of(layout, "Tab").values():
         assert len(config["tabs"]) > 1
-        assert config["activeTabIdx"] == 0
         assert len({tab["title"] for tab in config["tabs"]}) == len(config["tabs"])
-    for kind in ("Plot", "StateTransitions"):
-        assert all(config["paths"] for config in panels_of(layout, kind).values())
+    assert all(config["paths"] for kind in ("Plot", "StateTransitions") for config in panels_of(layout, kind).values())
     assert all(config["topics"] for config in panels_of(layout, "3D").values())
-    for path, schemas in drawn(layout):
-        topic = path.partition(".")[0]
-        assert topic in topics, path
-        assert schemas is None or topics[topic] in schemas, path
-    assert set(made_topics(layout).values()) <= set(topics)
-
-
-def shown(layout):
-    return {path.partition(".")[0] for path, _ in drawn(layout)}
+    assert topics_shown(layout) <= set(topics)
 
 
 def some_contents(seed):
@@ -131,21 +103,18 @@ def some_contents(seed):
 @pytest.mark.parametrize("seed", range(20))
 def test_a_layout_has_panels_for_the_topics_of_the_log(seed):
     has = some_contents(seed)
-    topics = {topic: SCHEMAS[topic] for topic in [*has.roles.values(), *has.results]}
-    topics |= dict.fromkeys(has.more_images, "foxglove.CompressedImage")
     layout = laid_out(has)
-    check(layout, topics)
-    assert has.results & set(ON_REQUEST) <= shown(layout)
-    assert set(has.more_images) <= shown(layout)
+    check(layout, {*has.roles.values(), *has.results, *has.more_images})
+    assert (has.results & set(ON_REQUEST)) | set(has.more_images) <= topics_shown(layout)
 
 
 def test_a_log_with_all_topics_has_panels_for_all():
     layout = laid_out(EVERYTHING)
     check(layout, SCHEMAS)
-    assert set(RESULTS) | set(ON_REQUEST) | set(LIVE_ONLY) <= shown(layout)
+    assert set(RESULTS) | set(ON_REQUEST) | set(LIVE_ONLY) <= topics_shown(layout)
     truths = {"/truth/lanes", "/truth/surface", "/truth/objects", "/truth/pose"}  # in the metrics, as errors
     unshown = {*truths, "/camera/front/detections", "/tf_static"} | {t for t in SCHEMAS if t.endswith("calibration")}
-    assert set(SCHEMAS) - shown(layout) <= unshown
+    assert set(SCHEMAS) - topics_shown(layout) <= unshown
 
 
 def test_a_layout_without_contents_has_no_panels():
@@ -158,34 +127,31 @@ def test_a_layout_without_contents_has_no_panels():
 
 
 def paths_of(layout):
-    return {path for path, _ in drawn(layout) if "." in path}
+    return {path for path in shown(layout) if "." in path}
 
 
 def test_plotted_paths_are_fields_of_their_messages():
     for path in paths_of(laid_out(EVERYTHING)):
         topic, _, name = path.partition(".")
-        descriptor = MESSAGE_TYPES[SCHEMAS[topic]].DESCRIPTOR
-        assert name in descriptor.fields_by_name, path
+        assert name in MESSAGE_TYPES[SCHEMAS[topic]].DESCRIPTOR.fields_by_name, path
 
 
 def test_stage_times_are_plotted_only_if_they_are_served():
     times = [path.partition(".")[2] for path in paths_of(laid_out(EVERYTHING)) if path.startswith(TIMES_TOPIC)]
     assert sorted(times) == sorted(TIME_COLUMNS)
     without = replace(EVERYTHING, results=EVERYTHING.results - {TIMES_TOPIC})
-    assert TIMES_TOPIC not in shown(laid_out(without))
+    assert TIMES_TOPIC not in topics_shown(laid_out(without))
     no_stereo = replace(EVERYTHING, results=EVERYTHING.results - {"/perception/stereo/depth"})
     assert f"{TIMES_TOPIC}.stereo_ms" not in paths_of(laid_out(no_stereo))
 
 
-def test_the_objects_table_shows_status_and_filter_as_text():
+def test_the_objects_table_reads_fields_and_states_of_the_message():
     (script,) = laid_out(EVERYTHING)["userNodes"].values()
-    source = script["sourceCode"]
-    known = json.loads(re.search(r"statuses: .* = (\{.*\});", source)[1])
-    assert known == {"1": "measured", "2": "tracked", "3": "lost"}
-    read = set(re.findall(r"seen\.(\w+)", source))
+    statuses = json.loads(re.search(r"statuses: .* = (\{.*\});", script["sourceCode"])[1])
+    known = roadperc_pb2.Object.Status.items()
+    assert statuses == {str(number): name.lower() for name, number in known if number}
+    read = set(re.findall(r"seen\.(\w+)", script["sourceCode"]))
     assert read <= set(roadperc_pb2.Object.DESCRIPTOR.fields_by_name)
-    assert {"detection", "status", "kept", "distance_m", "time_to_impact_s"} <= read
-    assert not re.search(r"\b[A-Z]{5,}\b", source)  # no placeholder is left
 
 
 def test_the_scene_follows_the_ego_frame_if_the_log_has_it():
@@ -195,13 +161,12 @@ def test_the_scene_follows_the_ego_frame_if_the_log_has_it():
     assert "followTf" not in scene
 
 
-def test_single_tabs_and_missing_parts_are_left_out():
-    part = panel("RosOut", "log", "Log")
-    assert tabs("all", {"A": None, "B": part}) is part
-    assert row(None, part, None) is part
-    assert column() is None
-    place = column(part, part, part, part, first_percent=25).place
-    assert (place["splitPercentage"], place["second"]["splitPercentage"]) == (25, pytest.approx(100 / 3))
+def test_titles_of_tabs_name_the_shown_panels():
+    tabs = laid_out(LogContents(roles={"depth": "/d", "truth_depth": "/t"}))["configById"]["Tab!pictures"]["tabs"]
+    assert [(tab["title"], tab["layout"]) for tab in tabs] == [
+        ("Depth", "Image!depth"),
+        ("True depth", "Image!truth_depth"),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -218,22 +183,15 @@ def replayed(tmp_path_factory):
 @pytest.mark.parametrize("name", ["in", "out", "full", "results"])
 def test_a_layout_shows_only_topics_with_messages(replayed, name):
     path = replayed / f"{name}.mcap"
-    target = replayed / f"{name}.json"
-    write_layout(target, path, force=True)
-    layout = json.loads(target.read_text("utf-8"))
-    summary = log_summary(path)
-    check(layout, summary)
-    results = {topic for topic in summary if topic.startswith("/perception/")}
-    assert results <= shown(layout)
-    assert ("/perception/overlay" in shown(layout)) is (name == "full")
+    write_layout(path.with_suffix(".json"), path, force=True)
+    layout = json.loads(path.with_suffix(".json").read_text("utf-8"))
+    summary = log.summarise(path)
+    topics = {c.topic for c in summary.channels if summary.counts.get(c.source_id)}
+    check(layout, topics)
+    assert {topic for topic in topics if topic.startswith("/perception/")} <= topics_shown(layout)
+    assert ("/perception/overlay" in topics_shown(layout)) is (name == "full")
     under = layout["configById"]["Image!front"]["imageMode"]["imageTopic"]
     assert under == ("/perception/drivable" if name == "results" else "/camera/front/image")
-    assert TIMES_TOPIC not in shown(layout)
-
-
-def log_summary(path):
-    summary = log.summarise(path)
-    return {c.topic: c.schema_name for c in summary.channels if summary.counts.get(c.source_id)}
 
 
 def test_metrics_without_a_value_are_not_plotted(replayed):
@@ -297,15 +255,3 @@ def test_a_failed_layout_names_the_log_and_writes_nothing(tmp_path):
     with pytest.raises(ChannelError, match=r"in\.mcap: --topic image=/none: no such topic"):
         write_layout(tmp_path / "layout.json", source, {"image": "/none"}, force=True)
     assert list(tmp_path.iterdir()) == [source]
-
-
-def test_an_existing_layout_is_replaced_only_with_force(tmp_path):
-    path = tmp_path / "layout.json"
-    write_layout(path, force=False)
-    assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)
-    path.write_text("mine")
-    with pytest.raises(TargetError, match="exists; pass --force"):
-        write_layout(path, force=False)
-    assert path.read_text() == "mine"
-    write_layout(path, force=True)
-    assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)

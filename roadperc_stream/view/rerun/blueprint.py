@@ -9,7 +9,6 @@ import rerun.blueprint as rrb
 
 from roadperc_stream.model import EGO
 from roadperc_stream.schemas import topics
-from roadperc_stream.view.layout.curves import STAGE_COLOURS
 from roadperc_stream.view.rerun.scene import MISSING, STATES
 from roadperc_stream.view.rerun.tree import TREE
 
@@ -49,6 +48,22 @@ _COLOURS: Final = {
     "nearest_object_m": (255, 170, 0),
     "time_to_impact_s": (255, 80, 80),
 }
+STAGE_COLOURS: Final = {
+    "total": 0x8C8C8CFF,
+    "decode": 0x4E98E2FF,
+    "surface": 0xF5774DFF,
+    "lanes": 0x3FAE49FF,
+    "objects": 0xF0C419FF,
+    "stereo": 0xB07AA1FF,
+    "odometry": 0xE15759FF,
+    "occupancy": 0x76B7B2FF,
+    "encode": 0x9C755FFF,
+    "read": 0xA0CBE8FF,
+    "metrics": 0xD4A6C8FF,
+    "copy": 0x8CD17DFF,
+    "write": 0xD7B5A6FF,
+}
+"""Red, green, blue, opacity of the stages' times, as in the Foxglove layout."""
 _WIDTHS: Final = (4.0, 2.0, 3.5)
 _SMOOTHED_WIDTH: Final = 2.0
 _RAW_WIDTH: Final = 0.8
@@ -181,7 +196,7 @@ def _times(log: Log) -> rrb.View:
     for stage, colour in STAGE_COLOURS.items():
         if (entity := f"{topics.TIMES_TOPIC}/{stage}_ms") in log.entities:
             width = _RAW_WIDTH if stage == "total" else _SMOOTHED_WIDTH
-            lines[entity] = rr.SeriesLines(colors=int(f"{colour[1:]}ff", 16), widths=width, names=stage)
+            lines[entity] = rr.SeriesLines(colors=colour, widths=width, names=stage)
     return curves("time per stage, ms", lines)
 
 
