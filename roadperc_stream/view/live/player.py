@@ -17,7 +17,6 @@ from foxglove.websocket import PlaybackStatus
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, ns_to_seconds
 from roadperc_stream.view.live import FASTEST, SLOWEST
-from roadperc_stream.view.live.answers import QUIET_S, Answers
 from roadperc_stream.view.live.source import Reach, Source, held
 
 TICK_S: Final = 0.1
@@ -170,7 +169,6 @@ class Player(ws.ServerListener):
         """Topics with new subscribers, which need the held messages."""
         self._seek_request: ws.PlaybackControlRequest | None = None
         """The newest seek that ``run`` has not handled yet."""
-        self._answers = Answers(clock_ns())
         self._follow_from(start_ns + 1)  # the first subscribers get the messages up to here as held ones
 
     def on_subscribe(self, client: ws.Client, channel: ws.ChannelView) -> None:  # noqa: ARG002 - the signature is the SDK's
@@ -179,20 +177,14 @@ class Player(ws.ServerListener):
             self._fresh.add(channel.topic)
         self._wake.set()
 
-    def on_playback_control_request(
-        self, playback_control_request: ws.PlaybackControlRequest
-    ) -> ws.PlaybackState | None:
-        """Move the playhead. ``run`` then sends the messages there, or those of a newer request.
-
-        In a flood of requests ``run`` also sends the newest answers.
-        """
+    def on_playback_control_request(self, playback_control_request: ws.PlaybackControlRequest) -> ws.PlaybackState:
+        """Move the playhead. ``run`` then sends the messages there, or those of a newer request."""
         request = playback_control_request
         with self._lock:
-            clock_ns = self._clock_ns()
-            self._playhead, moved = apply_request(self._playhead, request, self._source.reach(), clock_ns)
+            self._playhead, moved = apply_request(self._playhead, request, self._source.reach(), self._clock_ns())
             self._watched = True
             self._seek_request = request if moved else self._seek_request
-            answer = self._answers.now(self._playhead.state(request.request_id, moved=moved), clock_ns)
+            answer = self._playhead.state(request.request_id, moved=moved)
         self._wake.set()
         return answer
 
@@ -214,20 +206,9 @@ class Player(ws.ServerListener):
             self._wake.clear()
             if self._stopped:
                 return
-            if self._is_flooded():
-                wait_s = QUIET_S
-                continue
             self._seek()
             self._serve_new_subscribers()
             wait_s = self._advance()
-
-    def _is_flooded(self) -> bool:
-        """Send the late answers, if any; during a flood of requests send nothing, and return True."""
-        with self._lock:
-            were_late, late = self._answers.are_late, self._answers.late(self._clock_ns())
-        for answer in late:
-            self._viewers.server.broadcast_playback_state(answer)
-        return were_late and not late
 
     def _seek(self) -> None:
         """Send the messages held at the newest requested time, and continue there."""

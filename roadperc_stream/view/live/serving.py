@@ -1,6 +1,5 @@
 """Serves a finished log until Ctrl-C, or the output of a replay during the replay."""
 
-import logging
 import shlex
 import sys
 from collections.abc import Iterator
@@ -28,9 +27,6 @@ from roadperc_stream.view.result_frames import ReplayTimes, TableTimes
 
 _BACKLOG_MESSAGES: Final = 512
 """Messages that wait for a slow viewer; older ones are dropped."""
-logging.getLogger("foxglove.websocket.connected_client").addFilter(
-    lambda record: not record.getMessage().startswith("No playback state")  # the answer is late, see ``Answers``
-)
 _STOP_S: Final = 2.0
 _HOW_TO_CONNECT: Final = (
     "Foxglove: Open connection > Foxglove WebSocket > this address; playback starts when a panel is open"
