@@ -9,7 +9,8 @@ from roadperc_stream.errors import LogError
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.schemas.columns import Column, FrameMetrics, columns_of
-from roadperc_stream.view.frame_times import Stop, timed_rows
+from roadperc_stream.view.frame_times import Stop
+from roadperc_stream.view.result_frames import read_rows
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ def find_differences(base: log.AnyLog, new: log.AnyLog) -> list[MetricDifference
         LogError: a log cannot be read, or no frame of the base is in the new run.
     """
     problems = Problems()
-    theirs = {row.stamp_ns: row for _, row in timed_rows(log.summarise(new), problems)}
-    ours = timed_rows(log.summarise(base), problems)
+    theirs = {row.stamp_ns: row for _, row in read_rows(log.summarise(new), problems)}
+    ours = read_rows(log.summarise(base), problems)
     pairs = [(time_ns, row, theirs[row.stamp_ns]) for time_ns, row in ours if row.stamp_ns in theirs]
     if not pairs:
         raise LogError(f"{base} and {new}: no frame has the same stamp in both runs; expected runs of one log")

@@ -1,15 +1,11 @@
 """Finds the log time of a frame."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
 from roadperc_stream.input.stream import Problems
-from roadperc_stream.log import LogSummary
-from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.topics import METRICS_TOPIC
-from roadperc_stream.view.result_frames import row_of
+from roadperc_stream.view.result_frames import read_rows
 
 
 @dataclass(frozen=True)
@@ -25,20 +21,13 @@ class Stop:
         return f"up to frame {self.frame}"
 
 
-def timed_rows(summary: LogSummary, problems: Problems) -> Iterator[tuple[int, FrameMetrics]]:
-    """Log time and row of every readable frame, in order; empty without results."""
-    for message in log.read(summary, topics=(METRICS_TOPIC,)):
-        if row := row_of(message, problems):
-            yield message.log_time_ns, row
-
-
 def frame_times(path: log.AnyLog) -> dict[int, int]:
     """The log time in nanoseconds of every frame of a log with results, by its number in the metrics.
 
     Raises:
         LogError: the log cannot be read.
     """
-    return {row.frame: log_time_ns for log_time_ns, row in timed_rows(log.summarise(path), Problems())}
+    return {row.frame: log_time_ns for log_time_ns, row in read_rows(log.summarise(path), Problems())}
 
 
 def find_stop(path: log.AnyLog, frame: int) -> Stop:

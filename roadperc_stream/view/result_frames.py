@@ -104,36 +104,38 @@ _MOST_WAITING: Final = 64
 def read_frame(path: Path, stamp_ns: int, problems: Problems) -> PerceivedFrame | None:
     """The frame of a stamp; None without a camera image. Reads only the log around the stamp.
 
-    The image is the rectified one of the camera of the results. Unreadable messages count as absent. ``problems``
-    collects unreadable messages; a message near two frames counts twice.
+    ``problems`` collects unreadable messages; a message near two frames counts twice.
 
     Raises:
         LogError: the log cannot be read.
     """
     summary = log.summarise(path)
-    image_topic, camera = _image_source(summary)
     for lateness_ns in LATENESS_NS:
-        found, reasons = _messages(summary, image_topic, stamp_ns, lateness_ns, problems)
-        if frame := _frame_of(found, (image_topic, camera), reasons, stamp_ns, problems):
-            return frame
+        span_ns = max(stamp_ns - lateness_ns, 0), stamp_ns + lateness_ns + 1
+        for row, frame in read_frames(summary, problems, span_ns):
+            if row.stamp_ns == stamp_ns and frame is not None:
+                return frame
     return None
 
 
-def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
-    """The row and the results of every frame, in order; no results without a camera image.
+def read_frames(
+    summary: LogSummary, problems: Problems, span_ns: tuple[int, int | None] = (0, None)
+) -> Iterator[tuple[FrameMetrics, PerceivedFrame | None]]:
+    """The row and the results of every frame in a span of log time, in order; no results without a camera image.
 
-    Frames with an unreadable row are left out. Other unreadable messages count as absent. Holds a few frames in memory.
-    ``problems`` collects unreadable messages.
+    The image is the rectified one of the camera of the results. Frames with an unreadable row are left out. Other
+    unreadable messages count as absent. Holds a few frames in memory. ``problems`` collects unreadable messages.
 
     Raises:
         LogError: the log cannot be read.
     """
     image_topic, camera = _image_source(summary)
     waiting: dict[int, dict[str, Stamped]] = {}
-    for message in log.read(summary, topics={image_topic, METRICS_TOPIC, *_KINDS}):
+    topics, (start_ns, end_ns) = {image_topic, METRICS_TOPIC, *_KINDS}, span_ns
+    for message in log.read(summary, topics=topics, start_ns=start_ns, end_ns=end_ns):
         if row := row_of(message, problems):
             found = waiting.pop(row.stamp_ns, {})
-            yield row, _frame_of(found, (image_topic, camera), row.reasons, row.stamp_ns, problems)
+            yield row, _frame_of(found, (image_topic, camera), row, problems)
             waiting = {stamp_ns: found for stamp_ns, found in waiting.items() if stamp_ns > row.stamp_ns}
         elif content := _decoded(message, image_topic, problems):
             waiting.setdefault(content.stamp_ns, {})[message.channel.topic] = content
@@ -141,16 +143,17 @@ def read_frames(summary: LogSummary, problems: Problems) -> Iterator[tuple[Frame
                 waiting.pop(next(iter(waiting)))
 
 
-def read_rows(summary: LogSummary, problems: Problems) -> Iterator[FrameMetrics]:
-    """The readable rows of all frames, in order; empty without results.
+def read_rows(summary: LogSummary, problems: Problems) -> Iterator[tuple[int, FrameMetrics]]:
+    """Log time and row of every frame with a readable row, in order; empty without results.
 
     ``problems`` collects unreadable messages.
 
     Raises:
         LogError: the log cannot be read.
     """
-    rows = (row_of(message, problems) for message in log.read(summary, topics=(METRICS_TOPIC,)))
-    return (row for row in rows if row is not None)
+    for message in log.read(summary, topics=(METRICS_TOPIC,)):
+        if row := row_of(message, problems):
+            yield message.log_time_ns, row
 
 
 def row_of(message: Message, problems: Problems) -> FrameMetrics | None:
@@ -183,36 +186,22 @@ def _image_source(summary: LogSummary) -> _ImageSource:
 
 
 def _frame_of(
-    found: Mapping[str, Stamped], source: _ImageSource, reasons: Iterable[Reason], stamp_ns: int, problems: Problems
+    found: Mapping[str, Stamped], source: _ImageSource, row: FrameMetrics, problems: Problems
 ) -> PerceivedFrame | None:
     topic, camera = source
     image = rectified(_result(found, topic, CameraImage, "image"), camera)
     if isinstance(image, Absent):
         return None
-    image_bgr = content_of(lambda: image.bgr, topic, stamp_ns, problems)
+    image_bgr = content_of(lambda: image.bgr, topic, row.stamp_ns, problems)
     if image_bgr is None:
         return None
-    mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, stamp_ns, problems)
+    mask = content_of(lambda: _drivable(found), DRIVABLE_TOPIC, row.stamp_ns, problems)
     drivable = _drivable({}) if mask is None else mask
-    wrong_size = any((reason.source, reason.code) == ("image", "wrong_size") for reason in reasons)
+    wrong_size = any((reason.source, reason.code) == ("image", "wrong_size") for reason in row.reasons)
     # If the mask has another size, mask, lanes and objects belong to another camera.
     fits = not wrong_size and (isinstance(drivable, Absent) or drivable.shape == image_bgr.shape[:2])
     lanes = _result(found, LANES_TOPIC, Lanes, "lanes")
     return PerceivedFrame(image_bgr, lanes, _result(found, OBJECTS_TOPIC, Objects, "objects"), drivable, fits)
-
-
-def _messages(
-    summary: LogSummary, image_topic: str, stamp_ns: int, lateness_ns: int, problems: Problems
-) -> tuple[dict[str, Stamped], tuple[Reason, ...]]:
-    """Images and results of one stamp by topic, and its row's reasons."""
-    found: dict[str, Stamped] = {}
-    reasons: tuple[Reason, ...] = ()
-    for message in log.read(summary, start_ns=max(stamp_ns - lateness_ns, 0), end_ns=stamp_ns + lateness_ns + 1):
-        if row := row_of(message, problems):
-            reasons = row.reasons if row.stamp_ns == stamp_ns else reasons
-        elif (content := _decoded(message, image_topic, problems)) and content.stamp_ns == stamp_ns:
-            found[message.channel.topic] = content
-    return found, reasons
 
 
 def _decoded(message: Message, image_topic: str, problems: Problems) -> Stamped | None:

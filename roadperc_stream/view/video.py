@@ -82,7 +82,7 @@ def write_video(
 
 def _frame_stamps(summary: LogSummary) -> list[int]:
     source, problems = summary.path, Problems()
-    stamps = [row.stamp_ns for row in read_rows(summary, problems)]
+    stamps = [row.stamp_ns for _, row in read_rows(summary, problems)]
     if not stamps:
         why = problems.first.get(METRICS_TOPIC, f"run roadperc-replay {quote(str(source))} OUT.mcap first")
         raise LogError(f"{source}: no results for a video; {why}")

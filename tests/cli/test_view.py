@@ -1,7 +1,5 @@
 """``roadperc-view``: its outputs, and wrong usage."""
 
-import socket
-
 import pytest
 
 from roadperc_stream.cli.view import main
@@ -138,11 +136,3 @@ def test_a_viewer_without_a_display_is_a_stated_error(source, monkeypatch, capsy
     monkeypatch.setattr(viewer, "_listening", lambda: False)
     assert main([str(source)]) == 1
     assert "does not start" in capsys.readouterr().err
-
-
-def test_another_program_on_the_port_gets_no_log(source, monkeypatch, capsys):
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        monkeypatch.setattr(viewer, "_ADDRESS", silent.getsockname())
-        monkeypatch.setattr(viewer, "_ANSWERS_WITHIN_S", 0.2)
-        assert main([str(source)]) == 1
-    assert "another program uses this port" in capsys.readouterr().err

@@ -174,7 +174,7 @@ def test_a_frame_with_an_unreadable_row_is_left_out(tmp_path, values, fault):
     path = write_log(tmp_path / "out.mcap", {METRICS: row})
     found, problems = frames(path)
     assert [row.frame for row, _ in found] == [0, 2]
-    assert [row.frame for row in read_rows(log.summarise(path), Problems())] == [0, 2]
+    assert [row.frame for _, row in read_rows(log.summarise(path), Problems())] == [0, 2]
     assert fault in problems.first[METRICS]
 
 

@@ -84,7 +84,7 @@ def contents_of(path: log.AnyLog, overrides: Mapping[str, str]) -> LogContents:
 def _columns(summary: LogSummary) -> frozenset[str]:
     """The metrics with a value in at least one frame."""
     rows = read_rows(summary, Problems())
-    return frozenset(name for row in rows for name in _COLUMNS if getattr(row, name) not in (None, ()))
+    return frozenset(name for _, row in rows for name in _COLUMNS if getattr(row, name) not in (None, ()))
 
 
 def _more_images(channels: Iterable[Channel], known: Iterable[str]) -> tuple[str, ...]:

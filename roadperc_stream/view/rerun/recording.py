@@ -10,6 +10,7 @@ from typing import Final
 
 import rerun as rr
 from google.protobuf.message import DecodeError as ProtobufError
+from rerun.chunk import RrdReader
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
@@ -33,7 +34,7 @@ from roadperc_stream.view.rerun.pair import BASE, NEW, Opening, arrange_pair
 from roadperc_stream.view.rerun.pictures import given
 from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
-from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
+from roadperc_stream.view.rerun.viewer import URL, ending_at_once, start_viewer
 from roadperc_stream.view.result_frames import TableTimes, nothing_shown, require_shown
 
 FRAME: Final = "frame"
@@ -56,10 +57,6 @@ class Exported:
     problems: Mapping[str, int]
 
 
-Export = Callable[[rr.RecordingStream, Callable[[], None]], Exported]
-"""Logs everything to a recording; the function that it gets waits until the logged messages are sent."""
-
-
 def open_viewer(
     path: log.AnyLog, overrides: Mapping[str, str], progress: Progress = no_progress, shown: Opening = ALONE
 ) -> Exported:
@@ -68,13 +65,13 @@ def open_viewer(
     Raises:
         RoadpercError: a log is unreadable or has nothing to show, or the viewer does not start or answer.
     """
-    export = _export_of(path, overrides, progress, shown, arrange_early=shown.new is None)
+    runs = _opened(path, overrides, shown)
     start_viewer()
     recording = _recording(log.LogFile.of(path).name)
     try:
         with ending_at_once():
             recording.connect_grpc(URL)
-            exported = export(recording, recording.flush)
+            exported = _export(recording, runs, progress, shown, arrange_early=shown.new is None)
             recording.flush()
             recording.disconnect()  # waits until everything is sent
     except RuntimeError as error:  # raised by the SDK
@@ -98,42 +95,50 @@ def save_recording(
             ``force``, or it cannot be completed; no partial file remains.
     """
     require_free(target, force=force, source=log.LogFile.of(path).name, suffix=".rrd")
-    export = _export_of(path, overrides, progress, shown, arrange_early=False)
+    runs = _opened(path, overrides, shown)
     recording = _recording(log.LogFile.of(path).name, _LARGE_CHUNKS)
-    with completing(target, force=force) as temporary, saving(recording, temporary) as check:
-
-        def keep_up() -> None:
-            recording.flush()
-            check()
-
-        return export(recording, keep_up)
-
-
-def _export_of(
-    path: log.AnyLog, overrides: Mapping[str, str], progress: Progress, shown: Opening, *, arrange_early: bool
-) -> Export:
-    """A function that logs one or two runs and the blueprint."""
-    roots = {"": path} if shown.new is None else {BASE: path, NEW: shown.new}
-    found = {root: _opened(one, overrides) for root, one in roots.items()}
-
-    def export(recording: rr.RecordingStream, keep_up: Callable[[], None]) -> Exported:
-        senders = [_Sender(recording, *opened, root, shown.stop) for root, opened in found.items()]
-        frames = [_send(sender, progress, keep_up, arrange_early=arrange_early) for sender in senders]
-        if shown.new is None:
-            senders[0].arrange()
-        else:
-            arrange_pair(recording, [sender.log for sender in senders], shown)
-        notes = dict.fromkeys(note for s in senders for note in (*s.roles.notes, *s.problems.first.values()))
-        return Exported(frames[0], tuple(notes), {topic: n for s in senders for topic, n in s.problems.counts.items()})
-
-    return export
+    with completing(target, force=force) as temporary:
+        try:
+            recording.save(temporary)
+            exported = _export(recording, runs, progress, shown, arrange_early=False)
+            recording.disconnect()
+            RrdReader(temporary).store()  # the SDK does not report a write that failed; without its end a file has none
+        except RuntimeError as error:  # raised by the SDK
+            raise TargetError(f"{target}: the recording is incomplete; check the free disk space") from error
+        finally:
+            recording.disconnect()
+    return exported
 
 
-def _opened(path: log.AnyLog, overrides: Mapping[str, str]) -> tuple[LogSummary, RoleAssignment]:
-    summary = log.summarise(path)
-    roles = assignment_of_log(summary, overrides)
-    require_shown(summary, roles)
-    return summary, roles
+_Run = tuple[LogSummary, RoleAssignment]
+
+
+def _opened(path: log.AnyLog, overrides: Mapping[str, str], shown: Opening) -> dict[str, _Run]:
+    """The runs to show, by the parent of their entities.
+
+    Raises:
+        RoadpercError: a log is unreadable or has nothing to show.
+    """
+    found = {}
+    for root, one in ({"": path} if shown.new is None else {BASE: path, NEW: shown.new}).items():
+        summary = log.summarise(one)
+        found[root] = summary, assignment_of_log(summary, overrides)
+        require_shown(*found[root])
+    return found
+
+
+def _export(
+    recording: rr.RecordingStream, runs: Mapping[str, _Run], progress: Progress, shown: Opening, *, arrange_early: bool
+) -> Exported:
+    """Log one or two runs and the blueprint."""
+    senders = [_Sender(recording, *run, root, shown.stop) for root, run in runs.items()]
+    frames = [_send(sender, progress, arrange_early=arrange_early) for sender in senders]
+    if shown.new is None:
+        senders[0].arrange()
+    else:
+        arrange_pair(recording, [sender.log for sender in senders], shown)
+    notes = dict.fromkeys(note for s in senders for note in (*s.roles.notes, *s.problems.first.values()))
+    return Exported(frames[0], tuple(notes), {topic: n for s in senders for topic, n in s.problems.counts.items()})
 
 
 def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.RecordingStream:
@@ -143,8 +148,8 @@ def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.R
     return recording
 
 
-def _send(sender: "_Sender", progress: Progress, keep_up: Callable[[], None], *, arrange_early: bool) -> int:
-    """Log all messages, and count the frames; ``keep_up`` waits until the logged messages are sent."""
+def _send(sender: "_Sender", progress: Progress, *, arrange_early: bool) -> int:
+    """Log all messages, and count the frames."""
     summary = sender.summary
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
     frames = 0
@@ -152,7 +157,7 @@ def _send(sender: "_Sender", progress: Progress, keep_up: Callable[[], None], *,
     for count, (log_time_ns, messages) in enumerate(instants, 1):
         sender.send(log_time_ns, tuple(messages))
         if count % _MOST_WAITING == 0:
-            keep_up()
+            sender.recording.flush()
         if arrange_early and frames == 1 and sender.frame == 1:  # the first frame has most entities
             sender.arrange()
         frames = max(frames, sender.frame + 1)
@@ -168,7 +173,7 @@ class _Sender:
     def __init__(
         self, recording: rr.RecordingStream, summary: LogSummary, roles: RoleAssignment, root: str, stop: Stop | None
     ) -> None:
-        self._recording, self.summary, self.roles, self._root, self._stop = recording, summary, roles, root, stop
+        self.recording, self.summary, self.roles, self._root, self._stop = recording, summary, roles, root, stop
         self.reference = roles.topics.get(roles.reference or "")
         """Topic whose messages are counted as frames in a log without metrics; None if absent."""
         self.frame = -1
@@ -190,7 +195,7 @@ class _Sender:
 
     def arrange(self) -> None:
         """Send the blueprint for the sent entities."""
-        self._recording.send_blueprint(blueprint(self.log, time_panel(self._stop)))
+        self.recording.send_blueprint(blueprint(self.log, time_panel(self._stop)))
 
     def send(self, log_time_ns: int, messages: Sequence[Message]) -> None:
         """Log all messages of one log time.
@@ -202,8 +207,8 @@ class _Sender:
             raise LogError(f"log time {log_time_ns} ns: expected less than 2^63, the limit of Rerun")
         metrics = [message for message in messages if is_result_of(message.channel, METRICS_TOPIC)]
         self.frame = self._frame_of(messages, metrics)
-        set_log_time(self._recording, log_time_ns, self._stop)
-        self._recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
+        set_log_time(self.recording, log_time_ns, self._stop)
+        self.recording.set_time(FRAME, sequence=max(self.frame, 0))  # earlier messages belong to the first frame
         entries, self._given = [*self._given, *self._entries(messages)], []
         for entry in entries:
             self._log(entry)
@@ -211,7 +216,7 @@ class _Sender:
             of_frame = {e.entity for e in entries if e.frame and e.entity.startswith(tuple(RESULTS))}
             # The viewer shows the last value: clear results that this frame lacks.
             for entity in sorted(self._drawn - of_frame):
-                self._recording.log(f"{self._root}{entity}", rr.Clear(recursive=False))
+                self.recording.log(f"{self._root}{entity}", rr.Clear(recursive=False))
             self._drawn = of_frame
 
     def _frame_of(self, messages: Sequence[Message], metrics: Sequence[Message]) -> int:
@@ -239,7 +244,7 @@ class _Sender:
         if isinstance(entry.archetype, rr.AnnotationContext):
             if entry.entity not in self._contexts:  # one context is valid for the whole recording
                 self._contexts[entry.entity] = entry.archetype
-                self._recording.log(path, entry.archetype, static=True)
+                self.recording.log(path, entry.archetype, static=True)
         else:
             frame = (rr.CoordinateFrame(entry.frame),) if entry.frame else ()
-            self._recording.log(path, entry.archetype, *frame)
+            self.recording.log(path, entry.archetype, *frame)

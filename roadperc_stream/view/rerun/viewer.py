@@ -1,23 +1,14 @@
-"""Starts the Rerun viewer, and saves a recording through a pipe."""
+"""Starts the Rerun viewer."""
 
-import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from http import HTTPStatus
-from http.client import HTTPConnection, HTTPException
-from io import FileIO
-from pathlib import Path
 from time import monotonic, sleep
 from typing import Final
-
-import rerun as rr
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.system.process import ending_signals
@@ -26,7 +17,6 @@ URL: Final = "rerun+http://127.0.0.1:9876/proxy"
 _ADDRESS: Final = ("127.0.0.1", 9876)
 _COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port", str(_ADDRESS[1]))
 _STARTS_WITHIN_S: Final = 30.0
-_ANSWERS_WITHIN_S: Final = 5.0
 _EXITS_WITHIN_S: Final = 2.0
 """A viewer without a display listens briefly before it exits."""
 
@@ -37,14 +27,9 @@ def start_viewer() -> None:
     The SDK's own ``spawn`` listens on all addresses and waits forever for a viewer without a display.
 
     Raises:
-        RoadpercError: no viewer starts, or another program uses its port.
+        RoadpercError: no viewer starts.
     """
     if _listening():
-        if not _is_viewer():
-            where = f"{_ADDRESS[0]}:{_ADDRESS[1]}"
-            raise RoadpercError(
-                f"{where}: another program uses this port; close it, or write a file with --save FILE.rrd"
-            )
         return
     quiet = subprocess.DEVNULL
     viewer = subprocess.Popen(_COMMAND, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
@@ -80,61 +65,3 @@ def _listening() -> bool:
     except OSError:
         return False
     return True
-
-
-def _is_viewer() -> bool:
-    """Whether the listener is a viewer. The SDK would wait forever for another program."""
-    connection = HTTPConnection(*_ADDRESS, timeout=_ANSWERS_WITHIN_S)
-    try:
-        connection.request("OPTIONS", "/proxy")
-        return connection.getresponse().status == HTTPStatus.OK
-    except (OSError, HTTPException):
-        return False
-    finally:
-        connection.close()
-
-
-_PIECE_BYTES: Final = 2**20
-
-
-@contextmanager
-def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], None]]:
-    """Save a recording through a pipe to a file, which is complete if no error is raised.
-
-    Yields:
-        A check that the file has all bytes from the pipe; it raises the same errors.
-
-    Raises:
-        OSError: the SDK cannot open the pipe, or the file cannot be completed, as on a full disk.
-    """
-    readable, writable = os.pipe()
-    with FileIO(readable) as pipe, ThreadPoolExecutor(1, "recording") as thread, FileIO(writable, "wb") as end:
-        try:
-            copied = thread.submit(_copy, pipe, path)
-            thread.submit(_drain, pipe)
-            _open(recording, end)
-            yield lambda: copied.result() if copied.done() else None
-        finally:
-            recording.disconnect()
-    copied.result()
-
-
-def _open(recording: rr.RecordingStream, end: FileIO) -> None:
-    """Save a recording into the pipe. From here on, only the SDK holds this end."""
-    try:
-        recording.save(f"/dev/fd/{end.fileno()}")
-    except RuntimeError as error:  # raised by the SDK
-        raise OSError(str(error)) from error
-    finally:
-        end.close()
-
-
-def _copy(pipe: FileIO, path: Path) -> None:
-    with path.open("wb") as file:
-        shutil.copyfileobj(pipe, file, _PIECE_BYTES)
-
-
-def _drain(pipe: FileIO) -> None:
-    """Empty the pipe after a failed copy, so that the SDK can disconnect."""
-    while pipe.read(_PIECE_BYTES):
-        pass

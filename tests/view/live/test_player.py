@@ -12,7 +12,6 @@ from roadperc_stream.log import Channel, Message
 from roadperc_stream.view.live.player import (
     EDGE_POLL_S,
     LONGEST_WAIT_S,
-    LOOP_PAUSE_S,
     RESUME_LEAD_S,
     TICK_S,
     Player,
@@ -202,20 +201,10 @@ def test_each_round_of_a_loop_is_a_new_session():
         assert script.events[start + 4] == (Status.Playing, 0, False)
 
 
-def test_a_loop_returns_to_the_start_time():
-    script = Script(log(), {0: WATCH, 3.9: STOP}).run(start_s=2.0, loop=True)
-    assert [event[1] for event in script.sent() if event[0] == "/image"] == [2, 3, 4, 2, 3]
-
-
 def test_a_loop_without_viewers_waits():
     script = Script(log(), {0: WATCH, 99: STOP}, watching=[]).run(loop=True)
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
     assert script.events[-1:] == [(Status.Paused, 0, True)]
-
-
-def test_a_loop_over_one_message_pauses_between_rounds():
-    script = Script([message(IMAGE, 0)], {0: ["/image"], 10: STOP}).run(loop=True)
-    assert len(script.sent()) <= 10 / LOOP_PAUSE_S
 
 
 def test_playback_waits_for_a_running_replay_without_loss():
@@ -230,11 +219,6 @@ def test_a_seek_beyond_the_computed_part_gives_a_warning():
     script = Script(log(), {0: WATCH, 2.5: [seek], 30: STOP}, complete_at_s=9).run()
     assert script.answers[0].current_time == 1 * S
     assert any("3.0 s before the requested time" in event for event in script.events if isinstance(event, str))
-
-
-def test_a_stopped_player_answers_requests():
-    script = Script(log(), {0: WATCH, 1.5: STOP}).run()
-    assert script.player.on_playback_control_request(request(play=False)).current_time == round(1.5 * S)
 
 
 def test_only_the_newest_waiting_seek_reads_the_log():
@@ -280,11 +264,6 @@ PLAYING = Playhead(Status.Playing, 110 * S, 7 * S)
 def test_the_wait_is_the_time_to_the_next_message_and_one_tick_at_most(rate, next_s, wait_s):
     head = Playhead(Status.Playing, 110 * S, 7 * S, rate)
     assert advance(head, round(next_s * S), LOG, 7 * S) == (head, pytest.approx(wait_s))
-
-
-def test_a_new_rate_applies_from_now_on():
-    faster, moved = apply_request(PLAYING, request(play=True, rate=3.0), LOG, 9 * S)
-    assert (faster.at(9 * S), faster.at(10 * S), moved) == (112 * S, 115 * S, False)
 
 
 def test_rates_are_clamped_and_invalid_ones_ignored():

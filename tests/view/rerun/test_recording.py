@@ -18,8 +18,8 @@ from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.row_messages import FrameMetrics
 from roadperc_stream.schemas.topics import RESULTS
-from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
 from roadperc_stream.view.rerun import save_recording
+from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
 from roadperc_stream.view.rerun.scene import metrics
 from roadperc_stream.view.rerun.tree import SceneState
 from tests import logs
