@@ -62,6 +62,7 @@ def _become(command, arguments, cwd, folder, variables, memory_bytes, file_bytes
         code = _main(command)()
         sys.stdout.flush()
     finally:
+        sys.stderr.flush()
         os._exit(code)
 
 

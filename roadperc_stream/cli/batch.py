@@ -6,9 +6,10 @@ import re
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_input_arguments, add_log_arguments, add_only_argument
-from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, number, parse, positive_seconds, run, whole_number
+from roadperc_stream.cli.completers import LOGS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import REPLAY, add, add_about_log, add_shared, command_parser, parse
+from roadperc_stream.cli.values import number, positive_seconds, whole_number
 
 _EXAMPLE: Final = """\
 example:
@@ -46,60 +47,53 @@ def _parser() -> argparse.ArgumentParser:
         "replay only new, changed and interrupted logs.",
         _EXAMPLE,
     )
-    add = parser.add_argument
-    out = add("out", metavar="OUT_DIR", help="folder of the dataset, or an address such as s3://bucket/dataset")
-    logs = add(
+    out = "folder of the dataset, or an address such as s3://bucket/dataset"
+    add(parser, "out", metavar="OUT_DIR", help=out, completer=files())
+    add(
+        parser,
         "logs",
         metavar="LOG",
         nargs="+",
         help="a log, a folder, a glob in quotes, an address, or @FILE with one of these per line",
+        completer=files(*LOGS),
     )
-    join = add(
+    add(
+        parser,
         "--join",
         metavar="PATTERN",
         type=_pattern,
         help="join the files of one folder whose names are equal without this regular expression into one log; "
         "'_\\d+$' joins town_0.mcap and town_1.mcap",
     )
-    add_input_arguments(parser)
-    add_only_argument(parser)
-    add_log_arguments(parser)
-    _add_dataset_arguments(parser)
-    _add_worker_arguments(parser)
-    completed_by(out, files())
-    completed_by(logs, files(*LOGS))
-    completed_by(join, files())
+    add_shared(parser, *REPLAY, "only")
+    add_about_log(parser)
+    _add_dataset(parser.add_argument_group("dataset"))
+    _add_workers(parser.add_argument_group("workers and limits"))
     return parser
 
 
-def _add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("dataset")
-    add = group.add_argument
-    add("--logs", dest="keep_logs", action="store_true", help="also store the result logs in OUT_DIR/logs")
-    add("--results-only", action="store_true", help="with --logs: store only results, without the input's messages")
-    add("--recover", action="store_true", help="replay the readable part of damaged logs and report the losses")
-    add("--retry-failed", action="store_true", help="retry damaged and empty logs, even if unchanged")
-    add("--verify", action="store_true", help="detect changed logs by their content, not by size and time; slow")
-    add("--dry-run", action="store_true", help="print the action and the reason for each log, and do nothing")
-    add("--fail-fast", action="store_true", help="stop at the first log that fails")
+def _add_dataset(group: argparse._ArgumentGroup) -> None:
+    for option, text in (
+        ("--results-only", "with --logs: store only results, without the input's messages"),
+        ("--retry-failed", "retry damaged and empty logs, even if unchanged"),
+        ("--verify", "detect changed logs by their content, not by size and time; slow"),
+        ("--dry-run", "print the action and the reason for each log, and do nothing"),
+        ("--fail-fast", "stop at the first log that fails"),
+    ):
+        add(group, option, action="store_true", help=text)
+    add(group, "--logs", dest="keep_logs", action="store_true", help="also store the result logs in OUT_DIR/logs")
+    add_shared(group, "recover")
 
 
-def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("workers and limits")
-    add = group.add_argument
+def _add_workers(group: argparse._ArgumentGroup) -> None:
+    jobs = "replay N logs at a time on this machine (default: one per core)"
+    add(group, "--jobs", metavar="N", type=whole_number, help=jobs)
+    ray = "run on the Ray cluster at this address; auto: the cluster of this machine; local: start a cluster here"
+    add(group, "--ray", metavar="ADDRESS", help=ray)
+    timeout = "stop a replay after this time (default: no limit)"
+    add(group, "--timeout", metavar="SECONDS", type=positive_seconds, help=timeout)
     add(
-        "--jobs",
-        metavar="N",
-        type=whole_number,
-        help="replay N logs at a time on this machine (default: one per core)",
-    )
-    add(
-        "--ray",
-        metavar="ADDRESS",
-        help="run on the Ray cluster at this address; auto: the cluster of this machine; local: start a cluster here",
-    )
-    add("--timeout", metavar="SECONDS", type=positive_seconds, help="stop a replay after this time (default: no limit)")
-    add(
+        group,
         "--memory",
         metavar="SIZE",
         type=_bytes,
@@ -107,20 +101,22 @@ def _add_worker_arguments(parser: argparse.ArgumentParser) -> None:
         help="stop a replay that needs more memory, such as 500MB or 4GiB (default 2GB); Ray reserves it for each log",
     )
     add(
+        group,
         "--retries",
         metavar="N",
         type=number(0, math.inf, "a whole number", int),
         default=2,
         help="retries of a log that was unreachable or whose worker died (default 2)",
     )
-    scratch = add(
+    add(
+        group,
         "--scratch",
         metavar="DIR",
         type=Path,
         help="folder for temporary files on each machine (default: OUT_DIR/.work, or $TMPDIR if OUT_DIR is an address)",
+        completer=files(),
     )
-    add("--quiet", action="store_true", help="print errors only")
-    completed_by(scratch, files())
+    add_shared(group, "quiet")
 
 
 def _pattern(text: str) -> "re.Pattern[str]":

@@ -3,10 +3,9 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_topic_argument
-from roadperc_stream.cli.completers import LOGS, completed_by, files, settings
-from roadperc_stream.cli.plumbing import command_parser, parse, run
-from roadperc_stream.system.process import EXIT_UNDECIDED
+from roadperc_stream.cli.completers import LOGS, files
+from roadperc_stream.cli.launch import EXIT_UNDECIDED, run
+from roadperc_stream.cli.options import add, add_shared, command_parser, parse
 
 _EXAMPLE = """\
 example:
@@ -50,20 +49,15 @@ def _parser() -> argparse.ArgumentParser:
         "and the fewest changed settings that it needs. Write the excerpt with its results.",
         _EXAMPLE,
     )
-    add = parser.add_argument
-    log = add("log", metavar="LOG", type=Path, help="the log to replay")
-    criteria = add(
-        "--criteria", metavar="FILE.toml", type=Path, required=True, help="the criteria, as in roadperc-check"
-    )
-    add("--criterion", metavar="NAME", help="the criterion; without this option the first one that fails")
-    config = add("--config", metavar="FILE", type=Path, help="read settings from this TOML file")
-    setting = add("--set", metavar="KEY=VALUE", action="append", default=[], help="change one setting; overrides FILE")
-    base = add("--base", metavar="FILE", type=Path, help="the settings that work, instead of the default ones")
-    add_topic_argument(parser)
-    out = add("--out", metavar="FILE.mcap", type=Path, help="the excerpt (default: LOG.bisect.mcap in this folder)")
-    add("--force", action="store_true", help="replace an existing excerpt")
-    for action, completer in ((log, files(*LOGS)), (setting, settings), (out, files(".mcap"))):
-        completed_by(action, completer)
-    for action in (criteria, config, base):
-        completed_by(action, files(".toml"))
+    add(parser, "log", metavar="LOG", type=Path, help="the log to replay", completer=files(*LOGS))
+    criteria = "the criteria, as in roadperc-check"
+    toml = files(".toml")
+    add(parser, "--criteria", metavar="FILE.toml", type=Path, required=True, help=criteria, completer=toml)
+    criterion = "the criterion; without this option the first one that fails"
+    add(parser, "--criterion", metavar="NAME", help=criterion)
+    base = "the settings that work, instead of the default ones"
+    add(parser, "--base", metavar="FILE", type=Path, help=base, completer=toml)
+    out = "the excerpt (default: LOG.bisect.mcap in this folder)"
+    add(parser, "--out", metavar="FILE.mcap", type=Path, help=out, completer=files(".mcap"))
+    add_shared(parser, "config", "set", "topic", force="replace an existing excerpt")
     return parser

@@ -3,10 +3,10 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
-from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, run
-from roadperc_stream.system.process import EXIT_UNDECIDED
+from roadperc_stream.cli.arguments import result_files_of
+from roadperc_stream.cli.completers import RUNS, files
+from roadperc_stream.cli.launch import EXIT_UNDECIDED, run
+from roadperc_stream.cli.options import add, add_result_files, add_shared, command_parser, parse
 
 _EXAMPLE = """\
 example:
@@ -64,20 +64,19 @@ def _parser() -> argparse.ArgumentParser:
         "A failed criterion names its worst frame and the command that shows it.",
         _EXAMPLE,
     )
-    add = parser.add_argument
-    runs = add(
+    add(
+        parser,
         "runs",
         metavar="RUN",
         nargs="+",
         help="OUT.metrics.parquet, an OUT.mcap with its table, a folder with tables, a glob, or the OUT_DIR of a "
         "batch; all runs are judged together",
+        completer=files(*RUNS),
     )
-    criteria = add(
-        "--criteria", metavar="FILE.toml", type=Path, help="the criteria; without this option those of the package"
-    )
-    init = add("--init", metavar="FILE.toml", type=Path, help="write criteria with the limits that these runs reach")
-    add("--force", action="store_true", help="with --init: replace an existing file")
-    add_result_file_arguments(parser)
-    for action, completer in ((runs, files(*RUNS)), (criteria, files(".toml")), (init, files(".toml"))):
-        completed_by(action, completer)
+    criteria = "the criteria; without this option those of the package"
+    add(parser, "--criteria", metavar="FILE.toml", type=Path, help=criteria, completer=files(".toml"))
+    init = "write criteria with the limits that these runs reach"
+    add(parser, "--init", metavar="FILE.toml", type=Path, help=init, completer=files(".toml"))
+    add_shared(parser, force="with --init: replace an existing file")
+    add_result_files(parser)
     return parser

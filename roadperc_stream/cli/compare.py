@@ -5,10 +5,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
-from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, run
-from roadperc_stream.system.process import EXIT_UNDECIDED
+from roadperc_stream.cli.arguments import result_files_of
+from roadperc_stream.cli.completers import RUNS, files
+from roadperc_stream.cli.launch import EXIT_UNDECIDED, run
+from roadperc_stream.cli.options import add, add_result_files, command_parser, parse
 
 if TYPE_CHECKING:
     from roadperc_stream.eval.compare.compare import CompareOptions
@@ -88,35 +88,30 @@ def _parser() -> argparse.ArgumentParser:
         "interval of the difference, and the command that shows the frame that became worse by most.",
         _EXAMPLE,
     )
-    add = parser.add_argument
     inputs = "OUT.metrics.parquet, an OUT.mcap with its table, a folder of tables, or the OUT_DIR of a batch"
-    base = add("base", metavar="BASE", help=f"the base run: {inputs}")
-    new = add("new", metavar="NEW", nargs="?", help="the new run, likewise; without it, BASE is a batch with both")
+    add(parser, "base", metavar="BASE", help=f"the base run: {inputs}", completer=files(*RUNS))
+    new = "the new run, likewise; without it, BASE is a batch with both"
+    add(parser, "new", metavar="NEW", nargs="?", help=new, completer=files(*RUNS))
     name = "a name or its first digits, a setting such as lanes.hold_s=2, or default"
-    add("--base-config", metavar="NAME", help=f"for the OUT_DIR of a batch: the base's configuration, {name}")
-    add(
-        "--new-config",
-        metavar="NAME",
-        help="the new configuration; in a dataset of two configurations the older one is the base by default",
-    )
+    base_config = f"for the OUT_DIR of a batch: the base's configuration, {name}"
+    add(parser, "--base-config", metavar="NAME", help=base_config)
+    new_config = "the new configuration; in a dataset of two configurations the older one is the base by default"
+    add(parser, "--new-config", metavar="NAME", help=new_config)
     _add_rules(parser)
-    add("--times", action="store_true", help="judge times; the machine and its load must be the same")
-    criteria = add("--criteria", metavar="FILE.toml", type=Path, help="smallest relevant effects and limits of metrics")
-    add("--full", action="store_true", help="print all findings, the table of every metric, and the first fields")
-    add(
-        "--exact",
-        action="store_true",
-        help="list every differing field; exit with 1 if a field differs by more than its tolerance",
-    )
-    add("--other-log", action="store_true", help="compare runs of two different logs, frame by frame by their stamps")
-    add(
-        "--update-reference",
-        action="store_true",
-        help="after the comparison replace the differing tables of BASE with those of NEW, and exit with 0",
-    )
-    add_result_file_arguments(parser)
-    for action, completer in ((base, files(*RUNS)), (new, files(*RUNS)), (criteria, files(".toml"))):
-        completed_by(action, completer)
+    criteria = "smallest relevant effects and limits of metrics"
+    add(parser, "--criteria", metavar="FILE.toml", type=Path, help=criteria, completer=files(".toml"))
+    for option, text in (
+        ("--times", "judge times; the machine and its load must be the same"),
+        ("--full", "print all findings, the table of every metric, and the first fields"),
+        ("--exact", "list every differing field; exit with 1 if a field differs by more than its tolerance"),
+        ("--other-log", "compare runs of two different logs, frame by frame by their stamps"),
+        (
+            "--update-reference",
+            "after the comparison replace the differing tables of BASE with those of NEW, and exit with 0",
+        ),
+    ):
+        add(parser, option, action="store_true", help=text)
+    add_result_files(parser)
     return parser
 
 
@@ -129,7 +124,7 @@ def _add_rules(parser: argparse.ArgumentParser) -> None:
         ("--tolerance", "FIELD=VALUE", tolerance, "allowed absolute difference of the fields that match a glob"),
         ("--allow", "[METRIC=]VALUE", allowance, f"{allowed}N%% alone applies to all metrics except times"),
     ):
-        parser.add_argument(option, metavar=metavar, type=kind, action="append", default=[], help=text)
+        add(parser, option, metavar=metavar, type=kind, action="append", default=[], help=text)
 
 
 def tolerance(text: str) -> "Amount":

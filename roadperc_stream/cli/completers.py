@@ -4,10 +4,7 @@ A completer takes the typed prefix and returns whole words; ``argcomplete`` find
 are imported when the shell asks.
 """
 
-import argparse
-import os
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from roadperc_stream.system.files import METRICS_SUFFIX
@@ -21,14 +18,15 @@ RUNS: Final = (".mcap", METRICS_SUFFIX)
 """Suffixes of the files that name a finished run."""
 
 
-def completed_by(action: argparse.Action, completer: Completer) -> None:
-    """Attach a completer to an argument."""
-    action.completer = completer  # type: ignore[attr-defined]  # argcomplete's documented place for it
-
-
 def files(*suffixes: str) -> Completer:
     """Completer of folders, and of files with one of the suffixes."""
-    return lambda prefix, **_: _paths(prefix, suffixes)
+
+    def complete(prefix: str, **_: Any) -> Iterable[str]:
+        from argcomplete.completers import DirectoriesCompleter, FilesCompleter
+
+        return (FilesCompleter(suffixes) if suffixes else DirectoriesCompleter())(prefix)
+
+    return complete
 
 
 def settings(prefix: str, **_: Any) -> Iterable[str]:
@@ -68,33 +66,3 @@ def words(names: Iterable[str]) -> Completer:
         return [",".join((*before, name)) for name in names if name not in before]
 
     return complete
-
-
-def roles_in_dump(roles: Iterable[str]) -> Completer:
-    """Completer of ``ROLE=PATH``, with paths inside the dump if it is typed already."""
-
-    def complete(prefix: str, parsed_args: argparse.Namespace, **_: Any) -> Iterable[str]:
-        role, separator, typed = prefix.partition("=")
-        if not separator:
-            return [f"{name}=" for name in roles]
-        folder = getattr(parsed_args, "dump", None) or Path()
-        return [f"{role}={path}" for path in _paths(typed, ("",), folder)]
-
-    return complete
-
-
-def _paths(prefix: str, suffixes: tuple[str, ...], base: Path | None = None) -> Iterable[str]:
-    """Paths with a prefix: folders with a slash, and files with one of the suffixes."""
-    head, tail = os.path.split(prefix)
-    folder = (base or Path()) / Path(head or ".").expanduser()
-    try:
-        entries = sorted(folder.iterdir())
-    except OSError:
-        return
-    for entry in entries:
-        if not entry.name.startswith(tail) or entry.name.startswith(".") > tail.startswith("."):
-            continue
-        if entry.is_dir():
-            yield f"{os.path.join(head, entry.name)}/"  # noqa: PTH118 - keeps ./ and ~ as typed
-        elif suffixes and entry.name.endswith(suffixes):
-            yield os.path.join(head, entry.name)  # noqa: PTH118

@@ -4,9 +4,10 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli.arguments import add_camera_arguments
-from roadperc_stream.cli.completers import LOGS, completed_by, files, roles_in_dump
-from roadperc_stream.cli.plumbing import command_parser, number, parse, run
+from roadperc_stream.cli.completers import LOGS, files, words
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_shared, command_parser, parse
+from roadperc_stream.cli.values import number
 from roadperc_stream.errors import DumpError
 from roadperc_stream.schemas.role_names import ROLES
 
@@ -51,7 +52,6 @@ optional files:
   poses.json         {frame: {location, rotation}}, or poses.csv
   truth.json, truth/ as roadperc-render writes them
 """
-_rate = number(1e-3, 1e6, "a number from 0.001 to 1000000")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -83,10 +83,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of videos and images, and of a dump with one camera."""
-    add_camera_arguments(parser, "default: calibration.json of the recording")
-    parser.add_argument(
-        "--rate", type=_rate, metavar="HZ", help="frames per second (default: timestamps, or rate_hz, or 20)"
-    )
+    default = "default: calibration.json of the recording"
+    calibration = f"calibration of the camera: camera_info YAML of ROS, or JSON ({default})"
+    add_shared(parser, "fov", "height", calibration=calibration)
+    rate = "frames per second (default: timestamps, or rate_hz, or 20)"
+    add(parser, "--rate", type=number(1e-3, 1e6, "a number from 0.001 to 1000000"), metavar="HZ", help=rate)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -97,54 +98,29 @@ def _parser() -> argparse.ArgumentParser:
         "Convert a dataset, a CARLA dump, images or videos to a log. The command detects the layout and prints it.",
         _EXAMPLE,
     )
-    dump = parser.add_argument(
-        "dump",
-        type=Path,
-        metavar="RECORDING",
-        help="folder of a dataset, with one folder per sensor, of images or videos, or one video",
-    )
-    out = parser.add_argument("out", type=Path, metavar="IN.mcap", help="log to write")
-    role = parser.add_argument(
+    recording = "folder of a dataset, with one folder per sensor, of images or videos, or one video"
+    add(parser, "dump", type=Path, metavar="RECORDING", help=recording, completer=files())
+    add(parser, "out", type=Path, metavar="IN.mcap", help="log to write", completer=files(*LOGS))
+    add(
+        parser,
         "--role",
         action="append",
         default=[],
         metavar="ROLE=PATH",
         help=f"use this folder for a role: {', '.join(ROLES)}",
+        completer=words(f"{role}=" for role in ROLES),
     )
-    parser.add_argument(
-        "--layout",
-        choices=LAYOUTS,
-        metavar="NAME",
-        help=f"read the folder as this layout (default: detected): {', '.join(LAYOUTS)}",
-    )
-    parser.add_argument("--sequence", metavar="NN", help="sequence of a dataset with several")
-    parser.add_argument("--carla", dest="tags", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
-    tags = parser.add_argument(
-        "--tags", metavar="TABLE", help="table of the tags: a dataset's name, such as cityscapes, or a TOML file"
-    )
+    layout = f"read the folder as this layout (default: detected): {', '.join(LAYOUTS)}"
+    add(parser, "--layout", choices=LAYOUTS, metavar="NAME", help=layout)
+    add(parser, "--sequence", metavar="NN", help="sequence of a dataset with several")
+    add(parser, "--carla", dest="tags", metavar="VERSION", help="CARLA version of the tags, such as 0.9.15")
+    tags = "table of the tags: a dataset's name, such as cityscapes, or a TOML file"
+    add(parser, "--tags", metavar="TABLE", help=tags, completer=files(".toml"))
     add_recording_arguments(parser)
-    _add_coding_arguments(parser)
-    parser.add_argument("--force", action="store_true", help="replace an existing log")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    for action, completer in (
-        (dump, files()),
-        (out, files(*LOGS)),
-        (role, roles_in_dump(ROLES)),
-        (tags, files(".toml")),
-    ):
-        completed_by(action, completer)
-    return parser
-
-
-def _add_coding_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of depth and tags."""
-    parser.add_argument(
-        "--depth",
-        choices=("mm", "float"),
-        default="mm",
-        help="write depth as 16-bit millimetres or as float metres (default mm)",
-    )
-    parser.add_argument(
+    depth = "write depth as 16-bit millimetres or as float metres (default mm)"
+    add(parser, "--depth", choices=("mm", "float"), default="mm", help=depth)
+    add(
+        parser,
         "--depth-coding",
         "--grey-depth",
         choices=("mm", "cm", "m", "depth-256", "tum", "disparity", "linear", "linear-50", "logarithmic"),
@@ -152,11 +128,10 @@ def _add_coding_arguments(parser: argparse.ArgumentParser) -> None:
         "TUM's depth * 5000, or coding of 8-bit images (default: metres of floats, mm of integers, the grey that gives "
         "a level ground)",
     )
-    parser.add_argument(
-        "--allow-lossy-tags",
-        action="store_true",
-        help="accept JPEG segmentation, and use the nearest tag of each pixel",
-    )
+    lossy = "accept JPEG segmentation, and use the nearest tag of each pixel"
+    add(parser, "--allow-lossy-tags", action="store_true", help=lossy)
+    add_shared(parser, "quiet", force="replace an existing log")
+    return parser
 
 
 def _role(parser: argparse.ArgumentParser, option: str) -> tuple[str, str]:

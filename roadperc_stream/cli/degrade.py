@@ -6,9 +6,9 @@ from pathlib import Path
 from textwrap import fill
 from typing import Final
 
-from roadperc_stream.cli.arguments import SEED, add_topic_argument
-from roadperc_stream.cli.completers import completed_by, files, words
-from roadperc_stream.cli.plumbing import command_parser, parse, run
+from roadperc_stream.cli.completers import files, words
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_shared, command_parser, parse
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import require_free
 from roadperc_stream.system.process import optional_output
@@ -56,22 +56,18 @@ def _parser() -> argparse.ArgumentParser:
         "Write a log with corruptions. The same seed gives the same bytes. The truth and all other messages stay.",
         _EXAMPLE.format(names=fill(", ".join(levels.LEVELS), 100, initial_indent="  ", subsequent_indent="  ")),
     )
-    add = parser.add_argument
-    source = add("log", type=Path, metavar="IN.mcap", help="log to read")
-    out = add("out", type=Path, metavar="OUT.mcap", help="log to write")
-    corruptions = add(
+    add(parser, "log", type=Path, metavar="IN.mcap", help="log to read", completer=files(".mcap"))
+    add(parser, "out", type=Path, metavar="OUT.mcap", help="log to write", completer=files(".mcap"))
+    add(
+        parser,
         "--with",
         dest="severities",
         type=levels.severities,
         metavar="NAME=SEVERITY,...",
         required=True,
         help="corruptions, in this order, with severities of 1 to 5; severity 0 changes nothing",
+        completer=words(f"{name}=" for name in levels.LEVELS),
     )
-    add("--seed", type=SEED, metavar="N", default=0, help="seed of the random numbers (default: 0)")
-    add_topic_argument(parser)
-    add("--force", action="store_true", help="replace an existing log")
-    add("--quiet", action="store_true", help="print errors and warnings only")
-    for action in (source, out):
-        completed_by(action, files(".mcap"))
-    completed_by(corruptions, words(f"{name}=" for name in levels.LEVELS))
+    quiet = "print errors and warnings only"
+    add_shared(parser, "seed", "topic", force="replace an existing log", quiet=quiet)
     return parser

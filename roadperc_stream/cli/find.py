@@ -3,9 +3,10 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_topic_argument
-from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, number, parse, run
+from roadperc_stream.cli.completers import RUNS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_shared, command_parser, parse
+from roadperc_stream.cli.values import number
 
 _EXAMPLE = """\
 example:
@@ -36,20 +37,24 @@ def _parser() -> argparse.ArgumentParser:
         "time form an event. Print the events, the worst first, with the command that shows the peak of each.",
         _EXAMPLE,
     )
-    add = parser.add_argument
-    dataset = add("dataset", metavar="DATASET", help="the OUT_DIR of a batch, or its address; or runs, as in report")
-    add("condition", metavar="CONDITION", help="SQL on columns of frames; objects.COLUMN is a column of objects")
+    runs = "the OUT_DIR of a batch, or its address; or runs, as in report"
+    add(parser, "dataset", metavar="DATASET", help=runs, completer=files(*RUNS))
+    condition = "SQL on columns of frames; objects.COLUMN is a column of objects"
+    add(parser, "condition", metavar="CONDITION", help=condition)
     seconds = number(0, 3.2e9, "0 seconds or more")
-    add("--gap", metavar="SECONDS", type=seconds, default=1.0, help="frames closer than this are one event (default 1)")
-    add("--min-seconds", metavar="SECONDS", type=seconds, default=0.0, help="leave out shorter events (default 0)")
-    text = "its worst value is the peak of an event (default: the condition's first column of numbers)"
-    add("--peak", metavar="COLUMN", help=text)
-    json = add("--json", metavar="FILE", type=Path, help="write all events as one nested object")
-    clips = add("--clips", metavar="DIR", type=Path, help="write an excerpt of the log, with results, for each event")
-    add("--force", action="store_true", help="with --clips: replace existing excerpts")
-    add_topic_argument(parser)
-    text = "with --clips, if a log is replayed: repeat STAGE.implementation=MODULE:NAME, or change a setting"
-    add("--set", metavar="KEY=VALUE", action="append", default=[], help=text)
-    for action, completer in ((dataset, files(*RUNS)), (json, files(".json")), (clips, files())):
-        completed_by(action, completer)
+    gap = "frames closer than this are one event (default 1)"
+    add(parser, "--gap", metavar="SECONDS", type=seconds, default=1.0, help=gap)
+    shortest = "leave out shorter events (default 0)"
+    add(parser, "--min-seconds", metavar="SECONDS", type=seconds, default=0.0, help=shortest)
+    peak = "its worst value is the peak of an event (default: the condition's first column of numbers)"
+    add(parser, "--peak", metavar="COLUMN", help=peak)
+    clips = "write an excerpt of the log, with results, for each event"
+    add(parser, "--clips", metavar="DIR", type=Path, help=clips, completer=files())
+    add_shared(
+        parser,
+        "topic",
+        json="write all events as one nested object",
+        force="with --clips: replace existing excerpts",
+        set="with --clips, if a log is replayed: repeat STAGE.implementation=MODULE:NAME, or change a setting",
+    )
     return parser

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.arguments import about_log
-from roadperc_stream.cli.completers import LOGS, completed_by, files
+from roadperc_stream.cli.completers import LOGS, files
 from roadperc_stream.cli.convert import add_recording_arguments
-from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_shared, command_parser, parse
 from roadperc_stream.schemas.roles import parse_topic_options
 
 _USAGE: Final = """\
@@ -72,35 +73,32 @@ def _parser() -> argparse.ArgumentParser:
         _EXAMPLE,
         _USAGE,
     )
-    add = parser.add_argument
-    source = add(
-        "source", type=Path, nargs="?", metavar="IN", help="log, ROS bag, or anything that roadperc-convert reads"
-    )
-    out = add("out", type=Path, nargs="?", metavar="OUT.mcap", help="log to write")
-    network = add(
+    source = "log, ROS bag, or anything that roadperc-convert reads"
+    add(parser, "source", type=Path, nargs="?", metavar="IN", help=source, completer=files(*LOGS))
+    add(parser, "out", type=Path, nargs="?", metavar="OUT.mcap", help="log to write", completer=files(*LOGS))
+    add(
+        parser,
         "--network",
         type=Path,
         action="append",
         default=[],
         metavar="FILE.toml",
         help="description of a network; one may compute the segmentation and one the detections",
+        completer=files(".toml"),
     )
-    check = add(
+    add(
+        parser,
         "--check",
         nargs="+",
         metavar="FILE.toml IMAGE",
         help="write a picture of what a network sees in an image, and of its results; default IMAGE.check.png",
     )
-    add("--topic", action="append", default=[], metavar="image=/TOPIC", help="use the images of this topic")
     add_recording_arguments(parser)
-    add(
-        "--threads",
-        type=whole_number,
-        metavar="N",
-        help="images computed at a time (default: one per core); the results do not depend on it",
+    add_shared(
+        parser,
+        topic="use the images of this topic, such as image=/front/rgb",
+        threads="images computed at a time (default: one per core); the results do not depend on it",
+        force="replace an existing output, and channels of IN that the networks compute",
+        quiet="print errors and warnings only",
     )
-    add("--force", action="store_true", help="replace an existing output, and channels of IN that the networks compute")
-    add("--quiet", action="store_true", help="print errors and warnings only")
-    for action, completer in ((source, files(*LOGS)), (out, files(*LOGS)), (network, files(".toml")), (check, files())):
-        completed_by(action, completer)
     return parser

@@ -3,9 +3,10 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import ABOUT_LOG, about_log, add_log_arguments, add_topic_argument
-from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, run
+from roadperc_stream.cli.arguments import about_log
+from roadperc_stream.cli.completers import LOGS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import ABOUT_LOG, add, add_about_log, add_shared, command_parser, parse
 
 _EXAMPLE = """\
 example:
@@ -56,20 +57,12 @@ def _parser() -> argparse.ArgumentParser:
         "print its configuration and whether another program changed it.",
         _EXAMPLE,
     )
-    logs = parser.add_argument(
-        "logs",
-        metavar="LOG",
-        type=Path,
-        nargs="+",
-        help="an input or result log, also a damaged one; - for standard input",
-    )
-    add_topic_argument(parser)
-    add_log_arguments(parser)
-    parser.add_argument("--json", action="store_true", help="print one line of JSON per log")
-    recover = parser.add_argument(
-        "--recover", metavar="OUT.mcap", type=Path, help="write the readable part of a damaged LOG as a new log"
-    )
-    parser.add_argument("--force", action="store_true", help="replace an existing OUT.mcap")
-    completed_by(logs, files(*LOGS))
-    completed_by(recover, files(".mcap"))
+    logs = "an input or result log, also a damaged one; - for standard input"
+    add(parser, "logs", metavar="LOG", type=Path, nargs="+", help=logs, completer=files(*LOGS))
+    add_shared(parser, "topic")
+    add_about_log(parser)
+    add(parser, "--json", action="store_true", help="print one line of JSON per log")
+    recover = "write the readable part of a damaged LOG as a new log"
+    add(parser, "--recover", metavar="OUT.mcap", type=Path, help=recover, completer=files(".mcap"))
+    add_shared(parser, force="replace an existing OUT.mcap")
     return parser

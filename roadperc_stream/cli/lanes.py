@@ -4,8 +4,10 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, image_size, parse, run
+from roadperc_stream.cli.completers import LOGS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, command_parser, parse
+from roadperc_stream.cli.values import image_size
 
 _DESCRIPTION = """\
 Write the lanes of a run as TuSimple's JSON lines, and score them against true lanes in the same format.
@@ -52,29 +54,14 @@ def _parser() -> argparse.ArgumentParser:
     from roadperc_stream.eval.options import LanePairing
 
     parser = command_parser("lanes", _DESCRIPTION, _EXAMPLE)
-    add = parser.add_argument
-    log = add("log", metavar="OUT.mcap", type=Path, help="a log with results of roadperc-replay")
-    tusimple = add(
-        "--tusimple", metavar="FILE.json", type=Path, help="write the lanes to this file; an existing file is replaced"
-    )
-    truth = add(
-        "--truth",
-        metavar="FILE",
-        type=Path,
-        help="score against the true lanes in this .json file of TuSimple's format, or of this .txt list of CULane",
-    )
-    add(
-        "--pair",
-        choices=get_args(LanePairing),
-        default="stamp",
-        help="pair true frames by the stamp in raw_file, or in order (default stamp)",
-    )
-    add(
-        "--size",
-        metavar="WxH",
-        type=image_size,
-        help="image size that the pixels in FILE.json refer to (default: the camera's)",
-    )
-    for action, suffixes in ((log, LOGS), (tusimple, (".json",)), (truth, (".json", ".txt"))):
-        completed_by(action, files(*suffixes))
+    log = "a log with results of roadperc-replay"
+    add(parser, "log", metavar="OUT.mcap", type=Path, help=log, completer=files(*LOGS))
+    tusimple = "write the lanes to this file; an existing file is replaced"
+    add(parser, "--tusimple", metavar="FILE.json", type=Path, help=tusimple, completer=files(".json"))
+    truth = "score against the true lanes in this .json file of TuSimple's format, or of this .txt list of CULane"
+    add(parser, "--truth", metavar="FILE", type=Path, help=truth, completer=files(".json", ".txt"))
+    pair = "pair true frames by the stamp in raw_file, or in order (default stamp)"
+    add(parser, "--pair", choices=get_args(LanePairing), default="stamp", help=pair)
+    size = "image size that the pixels in FILE.json refer to (default: the camera's)"
+    add(parser, "--size", metavar="WxH", type=image_size, help=size)
     return parser

@@ -1,15 +1,18 @@
-"""The start of every command: its environment and its exit code. Imports no library before both are set."""
+"""The start of every command, and its exit code. Imports no library that reads the environment set here."""
 
 import gc
 import os
 import signal
 import sys
-import threading
+import warnings
+from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from io import TextIOWrapper
 
-from roadperc_stream.system.process import EXIT_ERROR, EXIT_UNDECIDED, discard_output, ending_signals, interrupt
+from roadperc_stream.errors import RegressionError, RoadpercError
+from roadperc_stream.system.process import discard_output, ending_signals, interrupt, optional_output
+from roadperc_stream.system.text import print_line
 
 COMMANDS = {
     "batch": "replay many logs, one per core or on a cluster",
@@ -30,18 +33,81 @@ COMMANDS = {
     "view": "open a log in Rerun or Foxglove, or write a video",
 }
 """Each is a module of this package, the subcommand ``roadperc ...`` and the console script ``roadperc-...``."""
-JUDGING = ("bisect", "check", "compare")
-"""Commands whose exit code 1 is a result."""
 COMPLETING = "_ARGCOMPLETE"
 """The variable that a shell sets when it asks for completions: the position of the command among the line's words."""
+EXIT_DONE, EXIT_ERROR = 0, 1
+EXIT_UNDECIDED = 3
+"""Of an error in a command whose exit code 1 is a result."""
+_JUDGING = ("bisect", "check", "compare")
+"""Commands whose exit code 1 is a result."""
+
+
+def run(command: Callable[[], int | None], error_code: int = EXIT_ERROR) -> int:
+    """Run a command, and return its exit code.
+
+    An error of the project or the system is one line on stderr and ``error_code``. So is a signal, which raises
+    KeyboardInterrupt so that partial files are removed. A ``RegressionError`` is a result: one line and exit code 1.
+    Output without a reader, as after ``head``, is no error.
+    """
+    gc.freeze()
+    gc.enable()
+    warnings.showwarning = _print_warning
+    code = EXIT_DONE
+    try:
+        with optional_output():
+            code = _code_of(command)
+    except RegressionError as error:
+        _print_error(str(error))
+        return EXIT_ERROR
+    except (RoadpercError, KeyboardInterrupt, MemoryError, OSError, UnicodeEncodeError) as error:
+        _print_error(f"error: {_text_of(error)}")
+        _discard_unwritable()
+        return error_code
+    return code
+
+
+def _code_of(command: Callable[[], int | None]) -> int:
+    try:
+        code: object = command()
+    except SystemExit as end:  # argparse, after the help, the version or a usage error
+        code = end.code
+    return code if isinstance(code, int) else EXIT_DONE
+
+
+def _text_of(error: BaseException) -> str:
+    match error:
+        case OSError():
+            return ": ".join(str(word) for word in (error.filename, error.strerror or error) if word)
+        case UnicodeEncodeError():  # a library cannot encode a text, such as a file name
+            return f"{error.object!r}: expected a name in {error.encoding.upper()}"
+        case MemoryError():
+            return "not enough memory"
+    return str(error) or "interrupted"
+
+
+def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning without its place in the code."""
+    _print_error(f"note: {message}")
+
+
+def _print_error(text: str) -> None:
+    with optional_output(sys.stderr):
+        print_line(" ".join(text.splitlines()), sys.stderr)
+
+
+def _discard_unwritable() -> None:
+    """Discard output that stdout does not take: the interpreter would fail when it flushes again."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        discard_output(sys.stdout)
 
 
 def _launch(command: str) -> int:
-    """Run a command and return its exit code; a fault of the program prints its traceback."""
+    """Import and run a command; a fault of the program prints its traceback."""
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # saves 30 ms
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # unused threads busy-wait: 0.1 s of CPU
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # Arrow reuses freed memory: 7 MB less
-    gc.disable()  # imports make no garbage; saves a tenth of their time. ``plumbing.run`` enables it
     for number in ending_signals():
         signal.signal(number, interrupt)
     for name in ("stdout", "stderr"):
@@ -49,32 +115,17 @@ def _launch(command: str) -> int:
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     if isinstance(sys.stdout, TextIOWrapper):  # characters that the encoding lacks become \udcff, as on stderr
         sys.stdout.reconfigure(errors="backslashreplace")
-    error_code = EXIT_UNDECIDED if command in JUDGING else EXIT_ERROR
+    error_code = EXIT_UNDECIDED if command in _JUDGING else EXIT_ERROR
     try:
-        code = int(import_module(f"roadperc_stream.cli.{command}").main())
-    except SystemExit as end:  # argparse, after the help, the version or a usage error
-        code = end.code if isinstance(end.code, int) else error_code
-    except KeyboardInterrupt:  # during the imports
-        print("error: interrupted", file=sys.stderr)
-        code = error_code
-    except Exception as error:
-        import_module("roadperc_stream.system.text").print_trace(error)
-        code = error_code
-    code = _flushed(code)
-    if code and any(not thread.daemon for thread in threading.enumerate()[1:]):
-        os._exit(code)  # the interpreter would wait for a thread of a library that may never end
-    return code
+        return run(partial(_imported, command), error_code)
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+        return error_code
 
 
-def _flushed(code: int) -> int:
-    """The exit code after flushing the streams; the interpreter would print a traceback if that fails."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError as error:
-            discard_output(stream)
-            if not isinstance(error, BrokenPipeError):  # a reader such as head may close the pipe
-                code = code or EXIT_ERROR
+def _imported(command: str) -> int:
+    gc.disable()  # imports make no garbage; saves a tenth of their time. ``run`` in the command enables it
+    code: int = import_module(f"roadperc_stream.cli.{command}").main()
     return code
 
 

@@ -5,9 +5,20 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from roadperc_stream.cli import arguments as shared
-from roadperc_stream.cli.completers import LOGS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, positive_seconds, run, whole_number
+from roadperc_stream.cli.arguments import given_options, serving_options
+from roadperc_stream.cli.completers import LOGS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import (
+    ABOUT_LOG,
+    REPLAY,
+    add,
+    add_about_log,
+    add_serving,
+    add_shared,
+    command_parser,
+    parse,
+)
+from roadperc_stream.cli.values import positive_seconds
 from roadperc_stream.system.files import is_bag_folder, not_a_log
 
 _USAGE: Final = """\
@@ -50,7 +61,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.live:
         from roadperc_stream.view.live.serving import LiveReplay
 
-        live = LiveReplay(shared.serving_options(arguments), quiet=arguments.quiet)
+        live = LiveReplay(serving_options(arguments), quiet=arguments.quiet)
     return run(lambda: replay_log(arguments, live, bar))
 
 
@@ -62,88 +73,72 @@ def _parser() -> argparse.ArgumentParser:
         _EXAMPLE,
         _USAGE,
     )
-    add = parser.add_argument
-    logs = add(
+    add(
+        parser,
         "logs",
         metavar="IN.mcap ... OUT.mcap",
         type=Path,
         nargs="*",
         default=[],
         help="the log to read (files, the folder of a ROS 2 bag, or - for standard input), then the log to write",
+        completer=files(*LOGS),
     )
-    shared.add_input_arguments(parser)
-    shared.add_only_argument(parser)
-    shared.add_log_arguments(parser)
-    _add_parts_arguments(parser)
-    add("--results-only", action="store_true", help="write only results to OUT.mcap, without the input's messages")
-    add("--overlay", action="store_true", help="write /perception/overlay: the camera image with all results drawn")
+    add_shared(parser, *REPLAY, "only")
+    add_about_log(parser)
+    _add_continuation(parser.add_argument_group("continued and long replays"))
+    results_only = "write only results to OUT.mcap, without the input's messages"
+    add(parser, "--results-only", action="store_true", help=results_only)
+    overlay = "write /perception/overlay: the camera image with all results drawn"
+    add(parser, "--overlay", action="store_true", help=overlay)
+    debug = "write /perception/debug/...: proposed lane lines, odometry matches, template match, disparity"
+    add(parser, "--debug", action="store_true", help=debug)
     add(
-        "--debug",
-        action="store_true",
-        help="write /perception/debug/...: proposed lane lines, odometry matches, template match, disparity",
-    )
-    template = add(
+        parser,
         "--template",
         metavar="IMAGE|FRAME:X0,Y0,X1,Y1",
         help="search every frame for the obstacle in an image file, or in a box of a frame of IN.mcap; "
         "adds an object with the label template",
+        completer=files(".png", ".jpg"),
     )
-    add("--recover", action="store_true", help="replay the readable part of a damaged log and report the losses")
-    add("--strict", action="store_true", help="stop with an error at the first unusable message")
-    add(
-        "--threads",
-        metavar="N",
-        type=whole_number,
-        help="number of threads, at most 5 (default: one per core); the results do not depend on it",
+    add(parser, "--strict", action="store_true", help="stop with an error at the first unusable message")
+    add(parser, "--live", action="store_true", help="serve the results to Foxglove during the replay")
+    add_shared(
+        parser,
+        "quiet",
+        recover="replay the readable part of a damaged log and report the losses",
+        threads="number of threads, at most 5 (default: one per core); the results do not depend on it",
+        force="replace an existing result; a recording is never replaced",
     )
-    add("--force", action="store_true", help="replace an existing result; a recording is never replaced")
-    add("--quiet", action="store_true", help="print errors only")
-    add("--live", action="store_true", help="serve the results to Foxglove during the replay")
-    shared.add_serving_arguments(parser)
-    _add_settings_arguments(parser)
-    completed_by(logs, files(*LOGS))
-    completed_by(template, files(".png", ".jpg"))
+    add_serving(parser)
+    _add_settings(parser.add_argument_group("print the settings (without IN.mcap and OUT.mcap)"))
     return parser
 
 
-def _add_parts_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("continued and long replays")
-    continued = group.add_argument(
+def _add_continuation(group: argparse._ArgumentGroup) -> None:
+    add(
+        group,
         "--continue",
         dest="continued",
         metavar="EARLIER_OUT.mcap",
         type=Path,
         help="continue from the result of the previous file of the log; the settings must be the same",
+        completer=files(".mcap"),
     )
-    group.add_argument(
-        "--warm-up",
-        metavar="SECONDS",
-        type=positive_seconds,
-        help="with --start: also run the chain on this much of the log before, without writing results",
-    )
-    group.add_argument(
-        "--checkpoint-every",
-        metavar="SECONDS",
-        type=positive_seconds,
-        help="save a checkpoint for --resume every SECONDS of log time",
-    )
-    group.add_argument(
-        "--resume",
-        action="store_true",
-        help="with --checkpoint-every: continue an interrupted replay of the same command, if any",
-    )
-    completed_by(continued, files(".mcap"))
+    warm_up = "with --start: also run the chain on this much of the log before, without writing results"
+    add(group, "--warm-up", metavar="SECONDS", type=positive_seconds, help=warm_up)
+    every = "save a checkpoint for --resume every SECONDS of log time"
+    add(group, "--checkpoint-every", metavar="SECONDS", type=positive_seconds, help=every)
+    resume = "with --checkpoint-every: continue an interrupted replay of the same command, if any"
+    add(group, "--resume", action="store_true", help=resume)
 
 
-def _add_settings_arguments(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("print the settings (without IN.mcap and OUT.mcap)")
-    group.add_argument(
-        "--list-settings", action="store_true", help="print every setting with default, range, unit and meaning"
-    )
-    group.add_argument("--json", action="store_true", help="with --list-settings: print JSON")
-    group.add_argument(
-        "--print-config", action="store_true", help="print the whole configuration as TOML, for --config"
-    )
+def _add_settings(group: argparse._ArgumentGroup) -> None:
+    for option, text in (
+        ("--list-settings", "print every setting with default, range, unit and meaning"),
+        ("--json", "with --list-settings: print JSON"),
+        ("--print-config", "print the whole configuration as TOML, for --config"),
+    ):
+        add(group, option, action="store_true", help=text)
 
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
@@ -161,15 +156,15 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error("--warm-up cannot be combined with --continue, which starts with a state")
     if arguments.resume and not arguments.checkpoint_every:
         parser.error("--resume needs --checkpoint-every")
-    if shared.given_options(arguments) and not arguments.live:
-        parser.error(f"--{shared.given_options(arguments)[0]} needs --live")
+    if given_options(arguments) and not arguments.live:
+        parser.error(f"--{given_options(arguments)[0]} needs --live")
 
 
 def _require_alone(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if an argument contradicts ``--list-settings`` or ``--print-config``."""
     asked, known = "--list-settings", {"list_settings", "json"}
     if not arguments.list_settings:
-        asked, known = "--print-config", {"print_config", "config", "set", "only", *shared.ABOUT_LOG}
+        asked, known = "--print-config", {"print_config", "config", "set", "only", *ABOUT_LOG}
     given = [name for name, value in vars(arguments).items() if name not in known and value != parser.get_default(name)]
     if given:
         option = {"logs": "IN.mcap", "continued": "--continue"}.get(given[0], f"--{given[0].replace('_', '-')}")

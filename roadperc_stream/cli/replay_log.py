@@ -16,7 +16,6 @@ from roadperc_stream.resume.checkpoint import CheckpointFolder
 from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.schemas.topics import Request
-from roadperc_stream.system import process
 from roadperc_stream.system.process import keep_freed_memory, optional_output
 from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.text import print_line
@@ -66,8 +65,8 @@ def _naming_resume(arguments: argparse.Namespace, target: ReplayTarget) -> Itera
     """Add the hint on ``--resume`` to the message of an interrupted replay with a checkpoint."""
     try:
         yield
-    except BaseException:
-        if process.is_interrupted and arguments.checkpoint_every and CheckpointFolder(target.path).holds_one:
+    except KeyboardInterrupt:
+        if arguments.checkpoint_every and CheckpointFolder(target.path).holds_one:
             text = "interrupted; run the same command with --resume to continue from the last checkpoint"
             raise KeyboardInterrupt(text) from None
         raise

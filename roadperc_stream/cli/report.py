@@ -3,9 +3,11 @@
 import argparse
 from pathlib import Path
 
-from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
-from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
+from roadperc_stream.cli.arguments import result_files_of
+from roadperc_stream.cli.completers import RUNS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_result_files, command_parser, parse
+from roadperc_stream.cli.values import whole_number
 
 _EXAMPLE = """\
 example:
@@ -63,14 +65,17 @@ def _parser() -> argparse.ArgumentParser:
         "configuration, and the worst logs. --full prints all tables.",
         _EXAMPLE,
     )
-    runs = parser.add_argument(
+    add(
+        parser,
         "runs",
         metavar="RUN",
         nargs="+",
         help="OUT.metrics.parquet, an OUT.mcap with its table, a folder with tables, or a glob; or the OUT_DIR of a "
         "batch, which may be an address",
+        completer=files(*RUNS),
     )
-    parser.add_argument(
+    add(
+        parser,
         "--by",
         metavar="EXPR[,EXPR]",
         type=_expressions,
@@ -78,22 +83,23 @@ def _parser() -> argparse.ArgumentParser:
         help="a row for each value of columns or polars SQL expressions, the worst first: log, class, date, "
         "lane_left_status, 'floor(distance_m / 10) * 10'",
     )
-    parser.add_argument("--full", action="store_true", help="print all tables")
-    parser.add_argument(
+    add(parser, "--full", action="store_true", help="print all tables")
+    add(
+        parser,
         "--worst",
         metavar="N",
         type=whole_number,
         default=WORST_FRAMES,
         help="with --full, list the N worst frames for each error; for a batch, the N worst logs (default %(default)s)",
     )
-    html = parser.add_argument(
+    add(
+        parser,
         "--html",
         metavar="FILE.html",
         type=Path,
         help="also write one offline page with summary, charts, trajectory and pictures of the worst frames; "
         "an existing file is replaced",
+        completer=files(".html"),
     )
-    add_result_file_arguments(parser)
-    completed_by(runs, files(*RUNS))
-    completed_by(html, files(".html"))
+    add_result_files(parser)
     return parser

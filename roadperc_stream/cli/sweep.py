@@ -5,15 +5,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import (
-    SEED,
-    add_input_arguments,
-    add_result_file_arguments,
-    result_files_of,
-    time_range_of,
-)
-from roadperc_stream.cli.completers import LOGS, completed_by, files, varied_settings, words
-from roadperc_stream.cli.plumbing import command_parser, parse, run, whole_number
+from roadperc_stream.cli.arguments import result_files_of, time_range_of
+from roadperc_stream.cli.completers import LOGS, files, varied_settings, words
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import REPLAY, add, add_result_files, add_shared, command_parser, parse
+from roadperc_stream.cli.values import whole_number
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import real_path
 
@@ -82,43 +78,37 @@ def _parser() -> argparse.ArgumentParser:
         "and print the best setting for each metric, or its values by severity.",
         _EXAMPLE,
     )
-    logs = parser.add_argument("logs", metavar="IN.mcap", type=Path, nargs="+", help="the logs to replay")
-    vary = parser.add_argument(
+    add(parser, "logs", metavar="IN.mcap", type=Path, nargs="+", help="the logs to replay", completer=files(*LOGS))
+    add(
+        parser,
         "--vary",
         metavar="KEY=A,B,...",
         type=varied,
         action="append",
         default=[],
         help="a setting and its values; repeat the option for combinations of settings",
+        completer=varied_settings,
     )
-    degrade = parser.add_argument(
+    add(
+        parser,
         "--degrade",
         metavar="NAME=A,B,...",
         type=swept,
         action="append",
         default=[],
         help="a corruption of roadperc-degrade and its severities, instead of settings; the option can be repeated",
+        completer=words(f"{name}=" for name in LEVELS),
     )
-    parser.add_argument("--seed", type=SEED, metavar="N", default=0, help="seed of the corruptions (default: 0)")
-    baseline = parser.add_argument(
-        "--baseline", metavar="DIR", type=Path, help="result of the same --degrade under other settings, for mCE"
-    )
-    out = parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("sweep"), help="folder of the dataset (default: sweep)"
-    )
-    add_input_arguments(parser)
-    parser.add_argument(
-        "--jobs",
-        metavar="N",
-        type=whole_number,
-        default=os.cpu_count() or 1,
-        help="replay N logs at a time (default: one per processor)",
-    )
-    parser.add_argument("--force", action="store_true", help="replace DIR if it is the result of an earlier sweep")
-    add_result_file_arguments(parser)
-    completed_by(degrade, words(f"{name}=" for name in LEVELS))
-    for action, completer in ((logs, files(*LOGS)), (vary, varied_settings), (out, files()), (baseline, files())):
-        completed_by(action, completer)
+    baseline = "result of the same --degrade under other settings, for mCE"
+    add(parser, "--baseline", metavar="DIR", type=Path, help=baseline, completer=files())
+    out = "folder of the dataset (default: sweep)"
+    add(parser, "--out", metavar="DIR", type=Path, default=Path("sweep"), help=out, completer=files())
+    jobs = "replay N logs at a time (default: one per processor)"
+    add(parser, "--jobs", metavar="N", type=whole_number, default=os.cpu_count() or 1, help=jobs)
+    seed = "seed of the corruptions (default: 0)"
+    force = "replace DIR if it is the result of an earlier sweep"
+    add_shared(parser, *REPLAY, seed=seed, force=force)
+    add_result_files(parser)
     return parser
 
 

@@ -4,9 +4,11 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from roadperc_stream.cli.arguments import add_result_file_arguments, result_files_of
-from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import ABOVE_0, command_parser, number, parse, run
+from roadperc_stream.cli.arguments import result_files_of
+from roadperc_stream.cli.completers import RUNS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_result_files, command_parser, parse
+from roadperc_stream.cli.values import ABOVE_0, number
 
 _DESCRIPTION = """\
 Compare the estimated poses of a run with the true poses.
@@ -58,31 +60,22 @@ def _parser() -> argparse.ArgumentParser:
     from roadperc_stream.eval.options import Alignment, DeltaUnit
 
     parser = command_parser("trajectory", _DESCRIPTION, _EXAMPLE)
-    add, positive = parser.add_argument, number(ABOVE_0, 1e9, "more than 0")
-    runs = add(
-        "runs", metavar="RUN", nargs="+", help="OUT.metrics.parquet, an OUT.mcap with its table, a folder, or a glob"
-    )
+    runs = "OUT.metrics.parquet, an OUT.mcap with its table, a folder, or a glob"
+    add(parser, "runs", metavar="RUN", nargs="+", help=runs, completer=files(*RUNS))
     add(
+        parser,
         "--align",
         choices=get_args(Alignment),
         help="align the estimate to the truth by rotation and translation (se3), also scale (sim3), the first pose "
         "(origin), or not (none); default se3, or sim3 for a run without scale",
     )
-    add("--delta", metavar="N", type=positive, default=1.0, help="distance of the poses of a pair (default 1)")
-    add("--delta-unit", choices=get_args(DeltaUnit), default="frames", help="unit of --delta (default frames)")
-    tum = add(
-        "--export-tum",
-        metavar="DIR",
-        type=Path,
-        help="write TUM files of the ego frame to this folder; existing files are replaced",
-    )
-    kitti = add(
-        "--export-kitti",
-        metavar="DIR",
-        type=Path,
-        help="write KITTI files of the ego frame to this folder; existing files are replaced",
-    )
-    add_result_file_arguments(parser)
-    for action, completer in ((runs, files(*RUNS)), (tum, files()), (kitti, files())):
-        completed_by(action, completer)
+    positive = number(ABOVE_0, 1e9, "more than 0")
+    delta = "distance of the poses of a pair (default 1)"
+    add(parser, "--delta", metavar="N", type=positive, default=1.0, help=delta)
+    unit = "unit of --delta (default frames)"
+    add(parser, "--delta-unit", choices=get_args(DeltaUnit), default="frames", help=unit)
+    for option, kind in (("--export-tum", "TUM"), ("--export-kitti", "KITTI")):
+        text = f"write {kind} files of the ego frame to this folder; existing files are replaced"
+        add(parser, option, metavar="DIR", type=Path, help=text, completer=files())
+    add_result_files(parser)
     return parser

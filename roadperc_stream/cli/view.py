@@ -6,9 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roadperc_stream.cli.arguments import add_serving_arguments, add_topic_argument, given_options, serving_options
-from roadperc_stream.cli.completers import RUNS, completed_by, files
-from roadperc_stream.cli.plumbing import command_parser, number, parse, run, seconds
+from roadperc_stream.cli.arguments import given_options, serving_options
+from roadperc_stream.cli.completers import RUNS, files
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.options import add, add_serving, add_shared, command_parser, parse
+from roadperc_stream.cli.values import number
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import is_bag_folder
@@ -106,41 +108,39 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
         "view", "Show a log in the Rerun viewer or in Foxglove, or write a recording, a layout or a video.", _EXAMPLE
     )
-    log = parser.add_argument(
-        "log", metavar="RUN", nargs="?", help="OUT.mcap, OUT.metrics.parquet, an input log, a dataset; - for a pipe"
-    )
-    new = parser.add_argument("new", metavar="NEW", nargs="?", help="a second run of the same log, to compare with RUN")
+    run_help = "OUT.mcap, OUT.metrics.parquet, an input log, a dataset; - for a pipe"
+    add(parser, "log", metavar="RUN", nargs="?", help=run_help, completer=files(*RUNS))
+    new = "a second run of the same log, to compare with RUN"
+    add(parser, "new", metavar="NEW", nargs="?", help=new, completer=files(*RUNS))
     place = parser.add_mutually_exclusive_group()
-    place.add_argument("--frame", metavar="N", type=number(0, 1e15, "a frame number", int), help="open at this frame")
-    place.add_argument("--worst", metavar="COLUMN", help="open at the worst frame of this column of the metrics table")
-    parser.add_argument("--log", dest="of_log", metavar="NAME", help="the log of a dataset")
-    parser.add_argument(
+    add(place, "--frame", metavar="N", type=number(0, 1e15, "a frame number", int), help="open at this frame")
+    add(place, "--worst", metavar="COLUMN", help="open at the worst frame of this column of the metrics table")
+    add(parser, "--log", dest="of_log", metavar="NAME", help="the log of a dataset")
+    add(
+        parser,
         "--config",
         metavar="NAME",
         action="append",
         default=[],
         help="the configuration of a dataset: its name, its first digits or a setting; pass it twice to compare two",
     )
-    add = parser.add_mutually_exclusive_group().add_argument
-    save = add("--save", metavar="FILE.rrd", type=Path, help="write a Rerun recording, and open no viewer")
-    add("--foxglove", action="store_true", help="play the log to Foxglove")
-    video = add("--video", metavar="FILE.mp4", type=Path, help="write a video of the log")
-    layout = parser.add_argument(
-        "--foxglove-layout",
-        metavar="FILE.json",
-        type=Path,
-        help="write a Foxglove layout for the log; with --foxglove it shows the times of the stages",
+    output = parser.add_mutually_exclusive_group()
+    save = "write a Rerun recording, and open no viewer"
+    add(output, "--save", metavar="FILE.rrd", type=Path, help=save, completer=files(".rrd"))
+    add(output, "--foxglove", action="store_true", help="play the log to Foxglove")
+    video = "write a video of the log"
+    add(output, "--video", metavar="FILE.mp4", type=Path, help=video, completer=files(".mp4"))
+    layout = "write a Foxglove layout for the log; with --foxglove it shows the times of the stages"
+    add(parser, "--foxglove-layout", metavar="FILE.json", type=Path, help=layout, completer=files(".json"))
+    add_shared(
+        parser,
+        "topic",
+        "quiet",
+        set="if a frame is replayed: change a setting of the run, or repeat STAGE.implementation=MODULE:NAME",
+        recover="show the readable part of a damaged log",
+        force="replace an existing file",
     )
-    add_topic_argument(parser)
-    text = "if a frame is replayed: change a setting of the run, or repeat STAGE.implementation=MODULE:NAME"
-    parser.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=text)
-    parser.add_argument("--recover", action="store_true", help="show the readable part of a damaged log")
-    parser.add_argument("--force", action="store_true", help="replace an existing file")
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
-    serving = add_serving_arguments(parser)
-    serving.add_argument("--start", metavar="SECONDS", type=seconds, help="start this long after the first message")
-    for action, suffixes in ((log, RUNS), (new, RUNS), (save, (".rrd",)), (layout, (".json",)), (video, (".mp4",))):
-        completed_by(action, files(*suffixes))
+    add_shared(add_serving(parser), "start")
     return parser
 
 

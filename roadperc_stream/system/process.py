@@ -5,15 +5,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-TYPE_CHECKING = False  # importing typing would double the start time of a command
-if TYPE_CHECKING:
-    from typing import IO, TextIO
-
-
-EXIT_DONE, EXIT_ERROR = 0, 1
-EXIT_UNDECIDED = 3
-"""Of an error in a command whose exit code 1 is a result."""
+from typing import IO, Final, TextIO
 
 
 def ending_signals() -> list[int]:
@@ -22,19 +14,13 @@ def ending_signals() -> list[int]:
     return [number for number in ending if signal.getsignal(number) != signal.SIG_IGN]
 
 
-is_interrupted = False
-"""Whether a signal has ended the command."""
-
-
 def interrupt(_number: int, _frame: object) -> None:
-    """Handle a signal that ends the command. A library may put another error around the exception."""
-    global is_interrupted  # noqa: PLW0603 - signals belong to the process
-    is_interrupted = True
+    """End the command as Ctrl-C does."""
     raise KeyboardInterrupt
 
 
 @contextmanager
-def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
+def optional_output(stream: TextIO | None = None) -> Iterator[None]:
     """Continue if the output of the block has no reader, or stderr has no space; ``stream`` is stdout by default."""
     stream = stream or sys.stdout
     try:
@@ -46,19 +32,19 @@ def optional_output(stream: "TextIO | None" = None) -> Iterator[None]:
         discard_output(stream)
 
 
-def discard_output(stream: "IO[str]") -> None:
+def discard_output(stream: IO[str]) -> None:
     """Discard the buffered and all later output of a stream without a reader."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
 
 
-_TRIM_THRESHOLD = -1
-_MMAP_THRESHOLD = -3
+_TRIM_THRESHOLD: Final = -1
+_MMAP_THRESHOLD: Final = -3
 """Parameters of glibc's ``mallopt``, from malloc.h."""
-_LARGEST_KEPT = 32 << 20
+_LARGEST_KEPT: Final = 32 << 20
 """Arrays up to this many bytes use kept memory; the largest value that glibc accepts."""
-_KEPT = 256 << 20
+_KEPT: Final = 256 << 20
 """Free bytes at the end of the heap that glibc does not return to the system."""
 
 

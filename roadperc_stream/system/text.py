@@ -1,7 +1,6 @@
 """Escaped lines for a terminal, counts, whole numbers, exceptions in one line, and similar names."""
 
 import difflib
-import sys
 from collections.abc import Iterable
 from reprlib import Repr
 from typing import Final, TextIO
@@ -32,14 +31,6 @@ def shown(text: str) -> str:
 def print_line(line: str, stream: TextIO | None = None) -> None:
     """Print a line, escaped; on stdout by default."""
     print(shown(line), file=stream)
-
-
-def print_trace(error: BaseException) -> None:
-    """Print the traceback of a fault of the program on stderr, escaped."""
-    import traceback  # noqa: PLC0415 - rare, and takes 3 ms
-
-    for line in "".join(traceback.format_exception(error)).splitlines():
-        print_line(line, sys.stderr)
 
 
 def number(count: int, what: str) -> str:

@@ -21,7 +21,7 @@ TIMEOUT_S = 120
 @pytest.fixture
 def folder(tmp_path):
     """One file of every kind, a folder, and what nobody looks for."""
-    names = "a.mcap b.mcap a.metrics.parquet a.objects.parquet a.toml a.json a.html a.rrd a.mp4 notes.txt .hidden.mcap"
+    names = "a.mcap b.mcap a.metrics.parquet a.objects.parquet a.toml a.json a.html a.rrd a.mp4 notes.txt"
     for name in names.split():
         (tmp_path / name).touch()
     (tmp_path / "drive" / "rgb").mkdir(parents=True)

@@ -14,7 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.values import whole_number
 from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter, arrow_schema
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
 from roadperc_stream.output.text_table import Table

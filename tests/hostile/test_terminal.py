@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 
 import pytest
 
@@ -101,28 +99,3 @@ def test_names_in_results_for_pages_are_escaped(tmp_path, capsys):
             assert "&#x202e;" not in text
         assert "&lt;img" in (tmp_path / "a.md").read_text("utf-8")
     assert "&lt;img" in (tmp_path / "a.xml").read_text("utf-8")
-
-
-LIBRARY = """
-import logging, sys
-from roadperc_stream.cli.plumbing import run
-
-def command():
-    if sys.argv[2] == "own handler":
-        logging.basicConfig()
-    try:
-        raise ValueError(sys.argv[1])
-    except ValueError:
-        logging.getLogger("library").exception("it said %s", sys.argv[1])
-
-sys.exit(run(command))
-"""
-
-
-@pytest.mark.parametrize("handler", ["own handler", "no handler"])
-def test_log_records_of_libraries_are_escaped(handler):
-    done = subprocess.run([sys.executable, "-c", LIBRARY, EVIL, handler], check=False, capture_output=True, timeout=60)
-    err = done.stderr.decode()
-    assert not COMMANDS & set(err), repr(err)
-    assert [f"it said {SHOWN}" in err, f"ValueError: {SHOWN}" in err] == [True, True]
-    assert len(err.splitlines()) == 2

@@ -11,7 +11,8 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.values import whole_number
 
 from .agreement import require_agreement
 from .figures import (

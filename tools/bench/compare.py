@@ -21,7 +21,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from roadperc_stream.cli.plumbing import run, whole_number
+from roadperc_stream.cli.launch import run
+from roadperc_stream.cli.values import whole_number
 from roadperc_stream.errors import RegressionError
 from roadperc_stream.system.text import print_line
 

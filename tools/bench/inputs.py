@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from roadperc_stream.cli.convert import main as convert
-from roadperc_stream.cli.plumbing import whole_number
+from roadperc_stream.cli.values import whole_number
 from roadperc_stream.errors import DumpError
 from roadperc_stream.log import LogSummary, LogWriter, Message, summarise
 from roadperc_stream.schemas.roles import ROLES
