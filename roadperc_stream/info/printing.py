@@ -126,19 +126,16 @@ def _camera(found: CameraFacts) -> Row:
 
 
 _DAMAGES_SHOWN: Final = 5
-_ODD_JITTER, _ODD_GAP = 0.2, 1.5
-"""Jitter and gaps are listed from this many median intervals on; a gap of 1.5 means a missing message."""
+_ODD_GAP: Final = 1.5
+"""Gaps are listed from this many median intervals on: a message is missing."""
 _FEWEST: Final = 4
 _NUMBERS_WIDTH: Final = 20
 """Width of the columns messages and Hz with their gaps."""
 _LAST_DATE_S: Final = 253_402_300_800
 _NATURAL: Final = {".": "protobuf", "/": "cdr"}
-_INTERVALS_NOTE: Final = (
-    "jitter: 95 % of the intervals differ from the median by at most this; listed from a fifth of the median on; "
-    "gap: the longest interval, listed from 1.5 medians on; from s: its start after the log's first message"
-)
-_STAMPS_NOTE: Final = (
-    "back, same: own stamps earlier than or equal to the previous one; unset: zero or unreadable; "
+_TIMES_NOTE: Final = (
+    "gap: the longest interval, listed from 1.5 medians on; from s: its start after the log's first message; "
+    "back, same: own stamps earlier than or equal to the previous one; "
     "late: messages after one with a later log time in the file"
 )
 
@@ -147,8 +144,7 @@ def print_log(console: Console, facts: LogFacts, source: Path) -> None:
     """Print the facts of a log; ``source`` is the argument that names it, such as the folder of a bag."""
     print_lines(console, *_file_lines(facts), unbroken=True)
     print_table(console, _channels(facts.channels, console.width))
-    print_table(console, _odd_intervals(facts.channels))
-    print_table(console, _odd_stamps(facts.channels))
+    print_table(console, _odd_times(facts.channels))
     print_roles(console, facts.replay.roles)
     print_lines(console, "", *_frame_lines(facts.file.whole, facts.replay))
     print_lines(console, *_proposals(facts.replay, source), unbroken=True)
@@ -235,39 +231,23 @@ def _schema(channel: ChannelFacts) -> str:
     return name if channel.message_encoding == natural else f"{name} ({channel.message_encoding})"
 
 
-def _odd_intervals(channels: Iterable[ChannelFacts]) -> Table:
-    inputs = (channel for channel in channels if not channel.result)  # results follow the frames
-    rows = tuple((channel.topic, *cells) for channel in inputs if any(cells := _intervals(channel)))
-    return Table("Odd intervals", ("jitter ms", "gap s", "from s"), rows, (_INTERVALS_NOTE,) if rows else ())
+def _odd_times(channels: Iterable[ChannelFacts]) -> Table:
+    found = ((channel.topic, *_gap(channel), *_counts(channel)) for channel in channels)
+    rows = tuple(row for row in found if any(row[1:]))
+    return Table("Odd times", ("gap s", "from s", "back", "same", "late"), rows, (_TIMES_NOTE,) if rows else ())
 
 
-def _intervals(channel: ChannelFacts) -> tuple[str, ...]:
-    """Jitter, and the longest gap with its start; empty if usual."""
-    jitter = rounded(1000 * (channel.jitter_s or 0)) if _is_odd(channel, _ODD_JITTER, channel.jitter_s) else ""
-    odd_gap = _is_odd(channel, _ODD_GAP, channel.longest_gap_s)
-    return (jitter, *map(rounded, (channel.longest_gap_s, channel.gap_at_s) if odd_gap else ()))
+def _gap(channel: ChannelFacts) -> tuple[str, str]:
+    """The longest gap and its start, empty if usual; results follow the frames."""
+    if channel.result or channel.rate_hz is None or channel.messages < _FEWEST:
+        return "", ""
+    is_odd = (channel.longest_gap_s or 0) * channel.rate_hz >= _ODD_GAP
+    return (rounded(channel.longest_gap_s), rounded(channel.gap_at_s)) if is_odd else ("", "")
 
 
-def _odd_stamps(channels: Iterable[ChannelFacts]) -> Table:
-    rows = tuple(_stamps(channel) for channel in channels if any(_stamp_counts(channel)))
-    headers = ("back", "from s", "same", "unset", "late")
-    return Table("Odd stamps", headers, rows, (_STAMPS_NOTE,) if rows else ())
-
-
-def _stamp_counts(channel: ChannelFacts) -> tuple[int, int, int, int]:
-    return channel.stamps_back, channel.stamps_repeated, channel.stamps_unset, channel.log_times_back
-
-
-def _stamps(channel: ChannelFacts) -> Row:
-    back, *others = (str(count or "") for count in _stamp_counts(channel))
-    return (channel.topic, back, rounded(channel.stamps_back_at_s), *others)
-
-
-def _is_odd(channel: ChannelFacts, least: float, seconds: float | None) -> bool:
-    """Whether a time is at least ``least`` median intervals of a channel; never for fewer than four messages."""
-    if seconds is None or channel.rate_hz is None or channel.messages < _FEWEST:
-        return False
-    return seconds * channel.rate_hz >= least
+def _counts(channel: ChannelFacts) -> Iterator[str]:
+    counts = channel.stamps_back, channel.stamps_repeated, channel.log_times_back
+    return (str(count or "") for count in counts)
 
 
 def _provenance_lines(provenance: Provenance, replay: ReplayFacts) -> Iterator[str]:

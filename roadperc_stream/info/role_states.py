@@ -19,12 +19,9 @@ from roadperc_stream.input.topics import distinct, fits
 from roadperc_stream.log import Channel
 from roadperc_stream.schemas.roles import ROLES, Role
 
-_COSTS: Final = {
-    "calibration": "a replay stops, unless another file of the log has it: the camera is unknown; see --calibration",
-    "segmentation": "no lanes, no verified detections, the lower image counts as road",
-    "detections": "no objects",
-    "tf": "the camera is assumed level at the height of the setting surface.assumed_height_m",
-}
+_CALIBRATIONS: Final = {"left": "left_calibration", "depth": "depth_calibration"}
+"""The calibration that frames of these roles can do with."""
+_STEREO: Final = {"right", "right_calibration"}
 _UNNAMED_TRUTH: Final = "no truth for steps and turns; a pose topic counts as truth only if you pass it"
 
 
@@ -122,22 +119,29 @@ def _choice(role: Role, topic: str, assignment: RoleAssignment, overrides: Mappi
 def _cost(role: str, assignment: RoleAssignment) -> str:
     """What a replay lacks without the role, given the other roles; empty for nothing."""
     there: Collection[str] = assignment.topics
-    if role == "image":
-        return "no images: no odometry" if "left" not in there else ""
-    if role == "calibration":
-        instead = {"left": "left_calibration", "depth": "depth_calibration"}.get(assignment.reference or "", "")
-        return "" if instead in there else _COSTS[role]
+    stops = "a replay stops, unless another file of the log has it"
     if role == "depth":
         return _depth_cost(there)
-    if role == "left_calibration":
-        return "a replay stops, unless another file of the log has it: left camera unknown" if "left" in there else ""
-    if role == "right_calibration":
-        return "no stereo: the baseline is unknown" if "right" in there else ""
-    return "" if role == "tf" and "tf_static" in there else _COSTS.get(role, "")
+    needed, cost = {
+        "image": ("left" not in there, "no images: no odometry"),
+        "calibration": (
+            _CALIBRATIONS.get(assignment.reference or "") not in there,
+            f"{stops}: the camera is unknown; see --calibration",
+        ),
+        "left_calibration": ("left" in there, f"{stops}: left camera unknown"),
+        "right_calibration": ("right" in there, "no stereo: the baseline is unknown"),
+        "segmentation": (True, "no lanes, no verified detections, the lower image counts as road"),
+        "detections": (True, "no objects"),
+        "tf": (
+            "tf_static" not in there,
+            "the camera is assumed level at the height of the setting surface.assumed_height_m",
+        ),
+    }.get(role, (False, ""))
+    return cost if needed else ""
 
 
 def _depth_cost(there: Collection[str]) -> str:
-    if {"right", "right_calibration"} <= set(there):
+    if set(there) >= _STEREO:
         return "surface, distances and occupancy from stereo"
     if "lidar" in there:
         return "surface, distances and occupancy from the sparse lidar points"
