@@ -3,11 +3,14 @@
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import chain
 from typing import Any, Final
 
+from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.settings import BUILT_IN_STAGES, NOT_SET, as_typed, is_about_log, settings_in
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.output.tables import Scalar
 from roadperc_stream.output.text_table import Table, values_of_subjects
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 
@@ -56,6 +59,12 @@ def grouped(runs: Sequence[Run]) -> list[Group]:
 def short_digest(digest: str) -> str:
     """The first digits of a configuration's digest."""
     return digest[:_DIGITS] or UNKNOWN
+
+
+def setting_of(cfg: ReplayConfig, key: str) -> Scalar:
+    """The value of a setting such as ``lanes.hold_s``; a list is joined by commas."""
+    value = reduce(getattr, key.split("."), cfg)
+    return ",".join(value) if isinstance(value, tuple) else value  # type: ignore[return-value]
 
 
 def settings_of(run: Run) -> Settings | None:

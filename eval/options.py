@@ -1,4 +1,4 @@
-"""Options of the evaluation: choices, rules for fields and metrics, settings to vary."""
+"""Options of the evaluation: choices, and rules for fields and metrics."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -87,14 +87,6 @@ class Rules:
 
 def _last(amounts: Sequence[Amount], name: str) -> Amount | None:
     return next((item for item in reversed(amounts) if fnmatchcase(name, item.pattern)), None)
-
-
-@dataclass(frozen=True)
-class Varied:
-    """A setting and its values, as typed."""
-
-    key: str
-    texts: tuple[str, ...]
 
 
 def number_or_text(text: str) -> float | str:

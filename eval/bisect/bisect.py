@@ -11,21 +11,21 @@ from typing import Final
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.config.catalogue import catalogue
 from roadperc_stream.config.settings import as_typed
-from roadperc_stream.errors import ConfigError, LogError, RegressionError, RoadpercError
+from roadperc_stream.errors import ConfigError, RegressionError, RoadpercError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import job_progress
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.files import not_a_log, scratch_folder
+from roadperc_stream.system.files import scratch_folder
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds
 
-from ..check.judging import Result, WorstPlace
+from ..configurations import setting_of
 from ..criteria import Criterion, hint
+from ..replaying import require_log
 from ..runs import open_run
-from ..sweep.settings import setting_of
 from .delta_debugging import ddmin
-from .excerpt_replays import ExcerptReplays, ReplayVerdict, Window, first_ns
+from .excerpts import ExcerptReplays, ReplayVerdict, Window, first_ns
 
 _FIRST_REACH_S: Final = 1.0
 """The first excerpt begins this long before the worst frame of the whole log."""
@@ -52,11 +52,6 @@ class BisectOptions:
     topics: Sequence[str] = ()
     force: bool = False
 
-    @property
-    def source(self) -> ReplaySource:
-        """The whole log."""
-        return ReplaySource(self.log, parse_topic_options(self.topics))
-
 
 def bisect(options: BisectOptions) -> None:
     """Search, write the excerpt, and print the commands that show the failure.
@@ -66,35 +61,21 @@ def bisect(options: BisectOptions) -> None:
         RoadpercError: the log cannot be replayed, an option is invalid, or the excerpt cannot be written.
         KeyboardInterrupt: a signal stopped the search.
     """
-    source = options.source
-    if not options.log.is_file():
-        raise LogError(not_a_log(options.log) if options.log.is_dir() else f"{options.log}: no such file")
+    source = ReplaySource(options.log, parse_topic_options(options.topics))
+    require_log(options.log)
     ReplayTarget(options.out, force=options.force).require_writable(source.files, None, resume=False)
     base, cfg = load_config(options.base), load_config(options.config, options.changed)
     with scratch_folder(options.out) as folder, job_progress() as show:
         replays = ExcerptReplays(source, options.criteria, options.out, folder, show)
         replays.criteria = _chosen(replays.criteria, options)
         try:
-            found = _found(replays, base, cfg)
+            lines = list(_search(replays, base, cfg, options))
         except KeyboardInterrupt:
-            if replays.can_continue:
+            if replays.kept_verdicts.exists():
                 raise KeyboardInterrupt("interrupted; run the same command again to continue") from None
             raise
-    for line in _lines(found, options):
+    for line in lines:
         print_line(line)
-
-
-@dataclass(frozen=True)
-class Found:
-    """The result of a search: the excerpt and its result, and the needed ones of the changed settings."""
-
-    whole: ReplayVerdict
-    window: Window
-    result: Result
-    worst: WorstPlace
-    needed: tuple[str, ...]
-    changed: int
-    replays: int
 
 
 def _chosen(criteria: tuple[Criterion, ...], options: BisectOptions) -> tuple[Criterion, ...]:
@@ -110,8 +91,8 @@ def _chosen(criteria: tuple[Criterion, ...], options: BisectOptions) -> tuple[Cr
     return tuple(criterion for criterion in criteria if name in (None, criterion.title))
 
 
-def _found(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig) -> Found:
-    """Search over time, then over the settings, and write the excerpt."""
+def _search(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig, options: BisectOptions) -> Iterator[str]:
+    """Search over time, then over the settings, and write the excerpt; yields what was found, and the commands."""
     whole = replays.verdict(cfg, None)
     if not whole.failed:
         replays.forget()
@@ -124,26 +105,19 @@ def _found(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig) -> Fo
     result = replays.write(with_settings(base, cfg, needed), window)
     if result is None or result.worst is None:
         raise RoadpercError(f"{replays.input_log}: {whole.failed} does not fail again; does it depend on times?")
-    values = tuple(f"{key}={as_typed(setting_of(cfg, key))}" for key in needed)
-    return Found(whole, window, result, result.worst, values, len(changed), replays.count)
-
-
-def _lines(found: Found, options: BisectOptions) -> Iterator[str]:
-    """What was found, and the commands that show, replay and judge the excerpt."""
-    start_s, end_s = (ns_to_seconds(time_ns - first_ns(options.source)) for time_ns in found.window)
+    begin_ns = first_ns(ReplaySource(options.log))
+    start_s, end_s = (ns_to_seconds(time_ns - begin_ns) for time_ns in window)
     frames = number(open_run(ReplayTarget(options.out).metrics, options.out.name).frames, "frame")
-    yield f"whole log  {found.whole.failed}: {found.whole.text}"
-    yield f"excerpt    {options.out}: {start_s:.3f} to {end_s:.3f} s of the log, {frames}: {found.result.text}"
-    if found.changed:
-        needs = f"{len(found.needed)} of {number(found.changed, 'change')} needed"
-        yield f"settings   {': '.join(filter(None, (needs, ' '.join(found.needed))))}"
-    yield f"replays    {found.replays}"
-    yield f"show       {found.worst.command}"
-    given = [
-        *(("--config", str(options.base)) if options.base else ()),
-        *(f"--set={item}" for item in found.needed),
-        *(f"--topic={topic}" for topic in options.topics),
-    ]
+    values = [f"{key}={as_typed(setting_of(cfg, key))}" for key in needed]
+    yield f"whole log  {whole.failed}: {whole.text}"
+    yield f"excerpt    {options.out}: {start_s:.3f} to {end_s:.3f} s of the log, {frames}: {result.text}"
+    if changed:
+        needs = f"{len(needed)} of {number(len(changed), 'change')} needed"
+        yield f"settings   {': '.join(filter(None, (needs, ' '.join(values))))}"
+    yield f"replays    {replays.count}"
+    yield f"show       {result.worst.command}"
+    base_file = ["--config", str(options.base)] if options.base else []
+    given = [*base_file, *(f"--set={value}" for value in values), *(f"--topic={topic}" for topic in options.topics)]
     yield f"replay     {shlex.join(['roadperc-replay', str(options.out), 'again.mcap', *given])}"
     yield f"judge      {shlex.join(['roadperc-check', 'again.mcap', '--criteria', str(options.criteria)])}"
 

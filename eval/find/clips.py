@@ -20,7 +20,7 @@ from roadperc_stream.system.time import TimeRange, ns_to_seconds
 from roadperc_stream.view.frame_times import frame_times
 
 from ..dataset.worst import LogKey
-from ..frame_replay import AFTER_S, BEFORE_S, Part, kept_log, recorded_config, replayed
+from ..replaying import AFTER_S, BEFORE_S, Part, kept_log, recorded_config, replayed
 from ..runs import Run
 from .events import Clips, Event
 

@@ -19,7 +19,7 @@ from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 from ..report_columns import SIDES, TOTAL, TRUTH, Quantity
 from ..runs import reading
 from ..scan import finite
-from .settings import Combination
+from .combinations import Combination
 
 COVERAGE_SLACK: Final = 0.01
 """Largest difference from the highest coverage at which a setting can still be the best."""
@@ -58,6 +58,10 @@ class SettingScore:
 
     value: float | None
     coverage: float
+
+
+Scored = tuple[SweepMetric, Sequence[SettingScore]]
+"""A metric, and the score of every combination."""
 
 
 def _typical(quantity: Quantity) -> SweepMetric:

@@ -1,4 +1,4 @@
-"""Resilience and error under corruptions, as Robo3D defines them.
+"""Resilience and error under corruptions, as Robo3D defines them, and the curves of each metric by severity.
 
 Source: Kong et al., "Robo3D: Towards Robust and Reliable 3D Perception against Corruptions", ICCV 2023, section 4.
 """
@@ -8,39 +8,37 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any, Final
 
-from roadperc_stream.config import ReplayConfig
 from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.files import METRICS_SUFFIX
 
-from ..report_columns import percent
-from .ranking import SettingScore, SweepMetric, scores
-from .settings import MARK, Combination
+from ..html.figures import colour_of, escaped
+from ..report_columns import percent, rounded
+from .combinations import CLEAN, MARK, Combination
+from .ranking import Scored, SettingScore, scores
 
-CLEAN: Final = "clean"
 MEAN: Final = "mean"
-Scored = tuple[SweepMetric, Sequence[SettingScore]]
-"""A metric, and the score of every combination."""
 Rates = dict[str, float | None]
 """A rate by corruption, after the mean of all; None if undefined."""
-
-
-def degradations(cfg: ReplayConfig, severities: Mapping[str, Sequence[int]]) -> tuple[Combination, ...]:
-    """The clean log, then each corruption with each severity, under one configuration."""
-    pairs = [(CLEAN, 0), *((name, severity) for name, several in severities.items() for severity in several)]
-    return tuple(Combination(at, {"corruption": name, "severity": s}, cfg) for at, (name, s) in enumerate(pairs))
-
-
-def of_corruption(found: Sequence[Any], made: Sequence[Combination], name: str) -> list[Any]:
-    """The items of the clean log and of one corruption; ``found`` has an item for each combination."""
-    return [item for item, at in zip(found, made, strict=True) if at.settings["corruption"] in (CLEAN, name)]
+_ACROSS: Final = 3
+_WIDTH, _HEIGHT = 300, 190
+"""Pixels of a panel."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 30, 22
+"""Pixels around the curves of a panel."""
+_LEGEND: Final = 24
+_WORST: Final = 5
 
 
 def names_of(made: Sequence[Combination]) -> list[str]:
     """The corruptions in their order."""
     return list(dict.fromkeys(str(item.settings["corruption"]) for item in made[1:]))
+
+
+def of_corruption(found: Sequence[Any], made: Sequence[Combination], name: str) -> list[Any]:
+    """The items of the clean log and of one corruption; ``found`` has an item for each combination."""
+    return [item for item, at in zip(found, made, strict=True) if at.settings["corruption"] in (CLEAN, name)]
 
 
 def robustness(
@@ -95,7 +93,7 @@ def require_baseline(folder: Path, facts: Mapping[str, Any]) -> None:
             raise TableError(f"{folder}: {key} {known.get(key)}, expected a sweep with {facts[key]}")
 
 
-def tables_of(rated: Mapping[str, tuple[Rates, Rates]], baseline: Path | None) -> Iterator[Table]:
+def rate_tables(rated: Mapping[str, tuple[Rates, Rates]], baseline: Path | None) -> Iterator[Table]:
     """A row per metric: mRR and the rate of each corruption; with a baseline also mCE and the errors."""
     notes = ["RR: mean over the severities, in percent of the clean log; frames without a value count as 0"]
     notes += [f"CE: sum of 1 - value, in percent of the baseline {baseline}"] if baseline else []
@@ -103,3 +101,42 @@ def tables_of(rated: Mapping[str, tuple[Rates, Rates]], baseline: Path | None) -
         headers = tuple(mean if key == MEAN else key for key in next(iter(rated.values()), ({}, {}))[at])
         cells = {name: ["" if v is None else percent(v) for v in both[at].values()] for name, both in rated.items()}
         yield Table(f"{mean}, %", headers, tuple((name, *texts) for name, texts in cells.items()), (note,))
+
+
+def curves(found: Sequence[Scored], made: Sequence[Combination]) -> str:
+    """SVG of a panel per metric, with a curve per corruption. A severity without a value has no point."""
+    names = names_of(made)
+    rows = -(-len(found) // _ACROSS)
+    legend_rows = -(-len(names) // _ACROSS)
+    size = _ACROSS * _WIDTH, rows * _HEIGHT + legend_rows * _LEGEND
+    parts = [part for at, scored in enumerate(found) for part in _panel(at, scored, made)]
+    for at, name in enumerate(names):
+        x, y = at % _ACROSS * _WIDTH + _LEFT, rows * _HEIGHT + at // _ACROSS * _LEGEND + 12
+        parts.append(f'<path d="M{x} {y}h24" stroke="{colour_of(at)}" stroke-width="3"/>{_text(x + 30, y + 4, name)}')
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size[0]} {size[1]}" font-family="sans-serif"'
+    return "\n".join((f'{head} font-size="12"><rect width="100%" height="100%" fill="white"/>', *parts, "</svg>\n"))
+
+
+def _panel(at: int, scored: Scored, made: Sequence[Combination]) -> Iterator[str]:
+    """Title, axes and curves of a metric; the vertical axis begins at 0."""
+    (metric, scores), (row, column) = scored, divmod(at, _ACROSS)
+    left, top, bottom = column * _WIDTH + _LEFT, row * _HEIGHT + _TOP, (row + 1) * _HEIGHT - _BOTTOM
+    most = max((score.value or 0.0 for score in scores), default=0.0) or 1.0
+    yield _text(left, top - 12, metric.quantity.label)
+    yield f'<path d="M{left} {top}V{bottom}H{(column + 1) * _WIDTH - _RIGHT}" fill="none" stroke="grey"/>'
+    yield _text(left - 4, top + 8, rounded(most, metric.quantity), "end") + _text(left - 4, bottom, "0", "end")
+    step = (_WIDTH - _LEFT - _RIGHT) / _WORST
+    for severity in range(_WORST + 1):
+        yield _text(left + severity * step, bottom + 14, str(severity) if severity else "clean", "middle")
+    for place, name in enumerate(names_of(made)):
+        own: list[tuple[SettingScore, Combination]] = of_corruption(list(zip(scores, made, strict=True)), made, name)
+        points = [
+            f"{left + int(item.settings['severity']) * step:.0f},{bottom - (bottom - top) * score.value / most:.1f}"
+            for score, item in own
+            if score.value is not None
+        ]
+        yield f'<polyline points="{" ".join(points)}" fill="none" stroke="{colour_of(place)}" stroke-width="2"/>'
+
+
+def _text(x: float, y: float, text: str, anchor: str = "start") -> str:
+    return f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}">{escaped(text)}</text>'

@@ -14,7 +14,6 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import real_path
 
 if TYPE_CHECKING:
-    from roadperc_stream.eval.options import Varied
     from roadperc_stream.eval.sweep.sweep import SweepOptions
 
 _EXAMPLE = """\
@@ -31,13 +30,10 @@ def main(argv: list[str] | None = None) -> int:
     """``roadperc-sweep``: replay logs under every combination of settings, or with corruptions."""
     parser = _parser()
     arguments = parse(parser, argv)
-    for option, keys in (
-        ("vary", [item.key for item in arguments.vary]),
-        ("degrade", [n for n, _ in arguments.degrade]),
-    ):
-        for key in keys:
-            if keys.count(key) > 1:
-                parser.error(f"argument --{option}: {key} is varied twice")
+    for option in ("vary", "degrade"):
+        keys = [key for key, _ in getattr(arguments, option)]
+        if twice := [key for key in keys if keys.count(key) > 1]:
+            parser.error(f"argument --{option}: {twice[0]} is varied twice")
     if not (arguments.vary or arguments.degrade) or (arguments.vary and arguments.degrade):
         parser.error("expected either --vary or --degrade")
     if arguments.baseline is not None and not arguments.degrade:
@@ -56,7 +52,7 @@ def _options(arguments: argparse.Namespace) -> "SweepOptions":
 
     return SweepOptions(
         arguments.out,
-        arguments.vary,
+        dict(arguments.vary),
         dict(arguments.degrade),
         arguments.config,
         arguments.set,
@@ -103,7 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     add(parser, "--baseline", metavar="DIR", type=Path, help=baseline, completer=files())
     out = "folder of the dataset (default: sweep)"
     add(parser, "--out", metavar="DIR", type=Path, default=Path("sweep"), help=out, completer=files())
-    jobs = "replay N logs at a time (default: one per processor)"
+    jobs = "run N replays at a time (default: one per processor)"
     add(parser, "--jobs", metavar="N", type=whole_number, default=os.cpu_count() or 1, help=jobs)
     seed = "seed of the corruptions (default: 0)"
     force = "replace DIR if it is the result of an earlier sweep"
@@ -112,13 +108,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def varied(text: str) -> "Varied":
+def varied(text: str) -> tuple[str, tuple[str, ...]]:
     """Parse an argument such as ``lanes.fit_strip_m=0.2,0.3,0.5``.
 
     Raises:
         ArgumentTypeError: it has another form, or gives a value twice.
     """
-    from roadperc_stream.eval.options import Varied, number_or_text
+    from roadperc_stream.eval.options import number_or_text
 
     key, _, values = text.partition("=")
     texts = tuple(value.strip() for value in values.split(","))
@@ -126,4 +122,4 @@ def varied(text: str) -> "Varied":
         raise argparse.ArgumentTypeError(f"{text}: expected KEY=VALUE,VALUE,... such as lanes.fit_strip_m=0.2,0.3,0.5")
     if len({number_or_text(value) for value in texts}) < len(texts):
         raise argparse.ArgumentTypeError(f"{text}: contains a value twice")
-    return Varied(key.strip(), texts)
+    return key.strip(), texts

@@ -73,8 +73,8 @@ def _view_log(arguments: argparse.Namespace) -> None:
 
 def _view_runs(arguments: argparse.Namespace) -> None:
     """Show a frame of a run, of a dataset's log or of two runs; a log that was not kept is replayed."""
-    from roadperc_stream.eval.frame_replay import shown
     from roadperc_stream.eval.frames import runs_to_show, worst_frame
+    from roadperc_stream.eval.replaying import shown
     from roadperc_stream.output.terminal import frame_progress
     from roadperc_stream.view.frame_times import find_stop
     from roadperc_stream.view.modes import print_remarks, view

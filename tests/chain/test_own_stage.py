@@ -24,7 +24,7 @@ from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.sweep import main as sweep_main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import ConfigError, StageError, StateError
-from roadperc_stream.eval.frame_replay import shown
+from roadperc_stream.eval.replaying import shown
 from roadperc_stream.eval.runs import open_run
 from roadperc_stream.geometry import Plane
 from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects, Odometry, Reason, StereoDepth, Surface

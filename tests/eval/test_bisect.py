@@ -10,9 +10,9 @@ from polars.testing import assert_frame_equal
 from roadperc_stream.cli import bisect, check, replay
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.bisect import bisect as searching
-from roadperc_stream.eval.bisect import excerpt_replays as bisect_replays
+from roadperc_stream.eval.bisect import excerpts
 from roadperc_stream.eval.bisect.bisect import changed_settings, needed_settings, shortest, with_settings
-from roadperc_stream.eval.bisect.excerpt_replays import ReplayVerdict
+from roadperc_stream.eval.bisect.excerpts import ReplayVerdict
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import NS_PER_S
 from tests import logs
@@ -62,7 +62,7 @@ def given(drive, tmp_path, monkeypatch):
 
 
 def test_an_interrupted_search_continues_and_finds_the_excerpt_and_the_setting(given, capsys, tmp_path, monkeypatch):
-    original, calls = bisect_replays.ExcerptReplays._replayed, []
+    original, calls = excerpts.ExcerptReplays._replayed, []
 
     def replayed(self, *arguments):
         calls.append(self.count)
@@ -72,7 +72,7 @@ def test_an_interrupted_search_continues_and_finds_the_excerpt_and_the_setting(g
 
     shown = []
     monkeypatch.setattr(searching, "job_progress", lambda: nullcontext(lambda *values: shown.append(values)))
-    monkeypatch.setattr(bisect_replays.ExcerptReplays, "_replayed", replayed)
+    monkeypatch.setattr(excerpts.ExcerptReplays, "_replayed", replayed)
     code, _, err = outcome(bisect.main, capsys, *given)
     assert (code, err) == (3, "error: interrupted; run the same command again to continue\n")
     assert names(tmp_path) == ["base.toml", "drive.bisect.replays.json", "limits.toml"]

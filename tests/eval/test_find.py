@@ -9,7 +9,7 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli import find, replay
-from roadperc_stream.eval import frame_replay
+from roadperc_stream.eval import replaying
 from roadperc_stream.eval.find import clips
 from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.output.tables import TableWriter
@@ -150,7 +150,7 @@ def written(path, topic=None):
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_clip_has_the_results_and_replays_alone(kept, result, capsys, tmp_path, monkeypatch):
-    for module in (clips, frame_replay):
+    for module in (clips, replaying):
         monkeypatch.setattr(module, "BEFORE_S", 0.25)
         monkeypatch.setattr(module, "AFTER_S", 0.1)
     run = shutil.copytree(result.parent, tmp_path / "run")

@@ -10,8 +10,9 @@ from polars.testing import assert_frame_equal
 from roadperc_stream.cli import degrade
 from roadperc_stream.cli.sweep import main
 from roadperc_stream.config import ReplayConfig
+from roadperc_stream.eval.sweep.combinations import degradations
 from roadperc_stream.eval.sweep.ranking import SettingScore
-from roadperc_stream.eval.sweep.robustness import degradations, robustness
+from roadperc_stream.eval.sweep.robustness import robustness
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests import logs

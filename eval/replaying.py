@@ -1,4 +1,7 @@
-"""The log that shows a frame of a run; one that was not kept is replayed up to the frame, as it was recorded."""
+"""Replays a log with settings: those of the user, or those that the table of a run records.
+
+``replay_with`` serves sweep, bisect, and the frames and excerpts of runs whose result log was not kept.
+"""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,13 +22,13 @@ from roadperc_stream.errors import ConfigError, LogError, TableError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.output.writing import Callbacks
+from roadperc_stream.output.writing import Callbacks, ReplaySummary
 from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.schemas.roles import parse_topic_options
-from roadperc_stream.system.files import scratch_folder
-from roadperc_stream.system.progress import Progress
+from roadperc_stream.system.files import not_a_log, scratch_folder
+from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.text import number
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
@@ -45,6 +48,35 @@ _OF_THE_REPLAY: Final = ("log_id", "config", "frame", "segment", "reasons", "mis
 """Beginnings of columns that are not results, or depend on the part of the log."""
 _SAME: Final = 1e-6
 """Relative difference of numbers below which they are equal, as on another processor."""
+
+
+def replay_with(
+    source: ReplaySource,
+    target: ReplayTarget,
+    cfg: ReplayConfig,
+    *,
+    warm_up_s: float = 0.0,
+    threads: int | None = None,
+    progress: Progress = no_progress,
+) -> ReplaySummary:
+    """Replay a log, or the part of it that ``source`` names, with settings; ``threads`` is by default one a core.
+
+    Raises:
+        RoadpercError: the log cannot be replayed, or the target cannot be written.
+    """
+    cfg, own = own_stages(cfg)
+    options = ReplayOptions(warm_up_s=warm_up_s, threads=threads or usable_cores(), own=own)
+    return replay(source, target, cfg, options, Callbacks(progress))
+
+
+def require_log(path: Path) -> None:
+    """Check that a path is a file, before anything is replayed.
+
+    Raises:
+        LogError: it is a folder, or does not exist.
+    """
+    if not path.is_file():
+        raise LogError(not_a_log(path) if path.is_dir() else f"{path}: no such file")
 
 
 @dataclass(frozen=True)
@@ -123,17 +155,11 @@ def replayed(
     named = [f"{stage}.implementation={name}" for stage, name in implementations(cfg)]
     if missing := [f"--set {setting}" for setting in named if setting not in changed]:
         raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
-    cfg, own = own_stages(cfg)
-    source, (overrides, recorded) = _input(run, folder), _options(run)
-    time_range, warm_up_s = _time_range(row, part, recorded, log.summarise(source).first_ns or 0)
+    path, (overrides, recorded) = _input(run, folder), _options(run)
+    time_range, warm_up_s = _time_range(row, part, recorded, log.summarise(path).first_ns or 0)
+    source = ReplaySource(path, overrides | parse_topic_options(topics), time_range, recover=True)
     target = part.target or ReplayTarget(folder / "out.mcap")
-    replay(
-        ReplaySource(source, overrides | parse_topic_options(topics), time_range, recover=True),
-        target,
-        cfg,
-        ReplayOptions(warm_up_s=warm_up_s, threads=usable_cores(), own=own),
-        Callbacks(progress),
-    )
+    replay_with(source, target, cfg, warm_up_s=warm_up_s, progress=progress)
     again = pl.read_parquet(target.metrics, glob=False).filter(pl.col("stamp_ns") == row["stamp_ns"])
     if again.is_empty():
         raise LogError(f"{run.source}: no frame with stamp {row['stamp_ns']} ns; it is not the whole log of the run")

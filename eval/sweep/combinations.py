@@ -1,9 +1,8 @@
-"""The combinations of a sweep's settings, and the folder with their tables."""
+"""The combinations of a sweep, and the folder with their tables."""
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import reduce
 from itertools import product
 from pathlib import Path
 from typing import Any, Final
@@ -18,13 +17,12 @@ from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.system.files import METRICS_SUFFIX, completing_folder, target_errors
 
-from ..options import Varied
+from ..configurations import setting_of
 from ..runs import distinct_names
 
-AT_ONCE: Final = 32
-"""Combinations replayed together; each buffers up to 1000 rows, about 4 MB."""
 MARK: Final = "sweep.toml"
 """The file that marks the folder of a sweep and holds its settings and logs."""
+CLEAN: Final = "clean"
 
 
 @dataclass(frozen=True)
@@ -44,19 +42,27 @@ class Combination:
         return " ".join(f"{key}={shown(value)}" for key, value in self.settings.items())
 
 
-def combinations(config: Path | None, settings: Sequence[str], vary: Sequence[Varied]) -> tuple[Combination, ...]:
+def combinations(
+    config: Path | None, settings: Sequence[str], vary: Mapping[str, Sequence[str]]
+) -> tuple[Combination, ...]:
     """All combinations of the varied values, on top of a configuration file and settings; the last key varies fastest.
 
     Raises:
         ConfigError: a key or value is invalid; the message names it.
     """
-    choices = product(*([f"{item.key}={text}" for text in item.texts] for item in vary))
+    choices = product(*([f"{key}={text}" for text in texts] for key, texts in vary.items()))
     cfgs = [own_stages(load_config(config, (*settings, *choice)))[0] for choice in choices]
-    columns = {item.key: _of_one_type([setting_of(cfg, item.key) for cfg in cfgs]) for item in vary}
+    columns = {key: _of_one_type([setting_of(cfg, key) for cfg in cfgs]) for key in vary}
     return tuple(
         Combination(number, {key: values[number] for key, values in columns.items()}, cfg)
         for number, cfg in enumerate(cfgs)
     )
+
+
+def degradations(cfg: ReplayConfig, severities: Mapping[str, Sequence[int]]) -> tuple[Combination, ...]:
+    """The clean log, then each corruption with each severity, under one configuration."""
+    pairs = [(CLEAN, 0), *((name, severity) for name, several in severities.items() for severity in several)]
+    return tuple(Combination(at, {"corruption": name, "severity": s}, cfg) for at, (name, s) in enumerate(pairs))
 
 
 def reference_of(made: Sequence[Combination], cfg: ReplayConfig) -> Combination:
@@ -64,27 +70,9 @@ def reference_of(made: Sequence[Combination], cfg: ReplayConfig) -> Combination:
     return next((item for item in made if item.cfg == cfg), made[0])
 
 
-def passes(made: Sequence[Combination]) -> list[tuple[Combination, ...]]:
-    """Groups of combinations that use the same samples, so that a log is read and decoded once per group."""
-    groups: dict[Hashable, list[Combination]] = {}
-    for item in made:
-        # The settings that samples depend on, see ``ReplayInput.samples`` and ``assemble.sample_of``.
-        cfg = item.cfg
-        about_log = cfg.calibration.model_dump_json(), tuple(cfg.labels.items())
-        decoding = (cfg.sync, cfg.limits, cfg.tag_table, cfg.surface.assumed_height_m, *about_log)
-        groups.setdefault(decoding, []).append(item)
-    return [tuple(group[at : at + AT_ONCE]) for group in groups.values() for at in range(0, len(group), AT_ONCE)]
-
-
 def shown(value: Scalar) -> str:
     """A value as a user types it."""
     return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def setting_of(cfg: ReplayConfig, key: str) -> Scalar:
-    """The value of a setting such as ``lanes.hold_s``; a list is joined by commas."""
-    value = reduce(getattr, key.split("."), cfg)
-    return ",".join(value) if isinstance(value, tuple) else value  # type: ignore[return-value]
 
 
 def _of_one_type(values: Sequence[Scalar]) -> Sequence[Scalar]:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -12,21 +12,17 @@ from statistics import median
 from typing import Any, Final
 
 from roadperc_stream import __version__, log
-from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import NoFrameError, TableError
 from roadperc_stream.input import ReplaySource
-from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
-from roadperc_stream.output.writing import Callbacks
-from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.topics import METRICS_TOPIC, STAGES, switched_off
 from roadperc_stream.system.files import completing
-from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import NS_PER_S, TimeRange, ns_to_seconds
 
 from ..check.judging import Result, judge
 from ..criteria import read_criteria
+from ..replaying import replay_with
 from ..runs import open_run
 
 Window = tuple[int, int]
@@ -70,14 +66,16 @@ class ExcerptReplays:
             TableError: the file with the verdicts cannot be read.
         """
         self.criteria, self.count, self.left = read_criteria(path), 0, 0
+        self.input_log, self.kept_verdicts = source.files[0], out.with_suffix(_SUFFIX)
         self._source, self._path, self._out, self._folder, self._show = source, path, out, folder, show
-        self._file = out.with_suffix(_SUFFIX)
         self._frames = 0
-        self._kept: tuple[Path, Window] | None = None
+        self._failing: tuple[Path, Window] | None = None
+        self._known: dict[str, dict[str, Any]] = {}
         try:
-            self._known: dict[str, dict[str, Any]] = json.loads(self._file.read_text()) if self._file.exists() else {}
+            if self.kept_verdicts.exists():
+                self._known = json.loads(self.kept_verdicts.read_text())
         except ValueError as error:
-            raise TableError(f"{self._file}: is not JSON ({error}); remove it to start over") from error
+            raise TableError(f"{self.kept_verdicts}: is not JSON ({error}); remove it to start over") from error
 
     def verdict(self, cfg: ReplayConfig, window: Window | None) -> ReplayVerdict:
         """Replay an excerpt alone, or the whole log for None, and judge it.
@@ -86,10 +84,11 @@ class ExcerptReplays:
             RoadpercError: it cannot be replayed, or a criterion does not fit.
         """
         self.count, self.left = self.count + 1, max(self.left - 1, 0)
-        key = self._key(cfg, window)
+        facts = __version__, self._log_digest, self._source.overrides, self.criteria, cfg.to_toml(), window
+        key = hashlib.sha256(repr(facts).encode()).hexdigest()
         if key not in self._known:
             self._known[key] = asdict(self._replayed(cfg, window))
-            with completing(self._file) as partial:
+            with completing(self.kept_verdicts) as partial:
                 partial.write_text(json.dumps(self._known))
         return ReplayVerdict(**self._known[key])
 
@@ -103,28 +102,13 @@ class ExcerptReplays:
             RoadpercError: it cannot be replayed or written.
         """
         self.count, self.left = self.count + 1, 0
-        target = ReplayTarget(self._out, force=True)
-        failed, _ = self._judged(self._excerpt(cfg, window), target, cfg)
+        failed, _ = self._judged(self._excerpt(cfg, window), ReplayTarget(self._out, force=True), cfg)
         self.forget()
         return failed
 
-    @property
-    def input_log(self) -> Path:
-        """The whole log."""
-        return self._source.files[0]
-
     def forget(self) -> None:
         """Remove the file with the verdicts."""
-        self._file.unlink(missing_ok=True)
-
-    @property
-    def can_continue(self) -> bool:
-        """Whether an interrupted search has verdicts."""
-        return self._file.exists()
-
-    def _key(self, cfg: ReplayConfig, window: Window | None) -> str:
-        facts = __version__, self._log_digest, self._source.overrides, self.criteria, cfg.to_toml(), window
-        return hashlib.sha256(repr(facts).encode()).hexdigest()
+        self.kept_verdicts.unlink(missing_ok=True)
 
     @cached_property
     def _log_digest(self) -> str:
@@ -134,36 +118,33 @@ class ExcerptReplays:
     def _replayed(self, cfg: ReplayConfig, window: Window | None) -> ReplayVerdict:
         target = ReplayTarget(self._folder / "replay.mcap", results_only=True, force=True)
         try:
-            source = self._source.paths if window is None else self._excerpt(cfg, window)
-            failed, text = self._judged(source, target, cfg)
+            path = self.input_log if window is None else self._excerpt(cfg, window)
+            failed, text = self._judged(path, target, cfg)
         except NoFrameError as error:
             return ReplayVerdict(text=str(error))
         if failed is None:
             return ReplayVerdict(text=text)
-        if isinstance(source, Path) and window is not None:
-            self._kept = source.replace(self._folder / "excerpt.mcap"), window
+        if window is not None:
+            self._failing = path.replace(self._folder / "excerpt.mcap"), window
         return _verdict(failed, target)
 
     def _excerpt(self, cfg: ReplayConfig, window: Window) -> Path:
         """A log with the window's messages: a replay without stages copies them, with the latched ones before it."""
-        if self._kept is not None and self._kept[1] == window:
-            return self._kept[0]
-        whole = replace(self._source, paths=self._kept[0]) if self._kept else self._source
+        if self._failing is not None and self._failing[1] == window:
+            return self._failing[0]
+        whole = replace(self._source, paths=self._failing[0]) if self._failing else self._source
         start_s, end_s = (ns_to_seconds(time_ns - first_ns(whole)) for time_ns in window)
         target = ReplayTarget(self._folder / "cut.mcap", force=True)
         idle = load_config(None, [switched_off(stage) for stage in STAGES])
         reading = {"sync": cfg.sync, "limits": cfg.limits, "tag_table": cfg.tag_table}
-        replay(replace(whole, time_range=TimeRange(start_s, end_s)), target, idle.model_copy(update=reading))
+        part = replace(whole, time_range=TimeRange(start_s, end_s))
+        replay_with(part, target, idle.model_copy(update=reading), threads=1)
         return target.path
 
-    def _judged(
-        self, paths: Path | Sequence[Path], target: ReplayTarget, cfg: ReplayConfig
-    ) -> tuple[Result | None, str]:
+    def _judged(self, path: Path, target: ReplayTarget, cfg: ReplayConfig) -> tuple[Result | None, str]:
         """Replay a log; the first criterion that fails, and its text or the reason why none fails."""
-        cfg, own = own_stages(cfg)
-        options = ReplayOptions(threads=usable_cores(), own=own)
-        summary = replay(replace(self._source, paths=paths), target, cfg, options, Callbacks(self._progress))
-        self._frames += summary.frames
+        source = replace(self._source, paths=path)
+        self._frames += replay_with(source, target, cfg, progress=self._progress).frames
         results = judge(self.criteria, [open_run(target.metrics, self.input_log.name)], self._path)
         failed = next((result for result in results if result.outcome == "failed"), None)
         if failed is not None:
@@ -189,9 +170,8 @@ def _verdict(failed: Result, target: ReplayTarget) -> ReplayVerdict:
     messages = log.read(log.summarise(target.path), topics=(METRICS_TOPIC,))
     by_frame = {message.sequence: message.log_time_ns for message in messages}
     times_ns = list(by_frame.values())
-    frame_ns = round(
-        median([later - earlier for earlier, later in pairwise(times_ns) if later > earlier] or [NS_PER_S])
-    )
+    steps_ns = [later - earlier for earlier, later in pairwise(times_ns) if later > earlier]
+    frame_ns = round(median(steps_ns or [NS_PER_S]))
     worst_ns = by_frame[failed.worst.frame] if failed.worst else times_ns[0]
     before, after = round((worst_ns - times_ns[0]) / frame_ns), round((times_ns[-1] - worst_ns) / frame_ns) + 1
     return ReplayVerdict(failed.criterion.title, failed.text, worst_ns, frame_ns, before, after)
