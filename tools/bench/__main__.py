@@ -14,21 +14,7 @@ from pathlib import Path
 from roadperc_stream.cli.launch import run
 from roadperc_stream.cli.values import whole_number
 
-from .agreement import require_agreement
-from .figures import (
-    ALL,
-    BARE,
-    COMPARED,
-    HELP,
-    LOGS,
-    ONE,
-    Measure,
-    figures,
-    measured,
-    replay_name,
-    tables,
-    write_json,
-)
+from .figures import ALL, BARE, COMPARED, HELP, LOGS, ONE, Measure, measured, replay_name, tables, write_json
 from .inputs import BenchLog, add_input_arguments, logs_of
 from .replays import cost_of, replay_command, replay_cost, start_cost
 
@@ -46,14 +32,11 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _bench(arguments: argparse.Namespace) -> None:
-    logs = logs_of(arguments)
-    for log in COMPARED:
-        require_agreement(logs[log].path)
-    series = measured(_jobs(arguments.folder, logs, arguments.course_frames), arguments.rounds)
-    found = figures(series)
-    print("\n".join(tables(series, found)))
+    jobs = _jobs(arguments.folder, logs_of(arguments), arguments.course_frames)
+    series = measured(jobs, arguments.rounds)
+    print("\n".join(tables(series)))
     if arguments.json:
-        write_json(arguments.json, series, found, {"frames": arguments.frames, "rounds": arguments.rounds})
+        write_json(arguments.json, series, {"frames": arguments.frames, "rounds": arguments.rounds})
 
 
 def _jobs(folder: Path, logs: dict[str, BenchLog], course_frames: int) -> dict[str, Measure]:

@@ -13,7 +13,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -100,6 +100,12 @@ class Compared:
     ratio: Ratio | None
     verdict: Verdict | None
 
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Return the row of a table."""
+        ratio = (None, None, None) if self.ratio is None else astuple(self.ratio)
+        return (self.name, cell(self.base, 2), cell(self.new, 2), *(cell(v, 3) for v in ratio), self.verdict or "")
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the comparison; return 0, or 1 if a quantity is slower or an error occurs."""
@@ -133,11 +139,14 @@ def _compare(arguments: argparse.Namespace) -> None:
         series = measured(_jobs(arguments.folder, logs, package, arguments.threads), arguments.rounds)
     rows = [row for log in logs for row in compared(series, log.name, arguments.share, arguments.confidence)]
     for log in logs:
-        print(_table(log.name, [item for item in rows if item.log == log.name]))
+        headers = (f"{log.name}, ms a frame", "base", "new", "new / base", "from", "to", "")
+        print(markdown(headers, [row.cells for row in rows if row.log == log.name]))
     print_line(f"noise of the control: {noise(series):.0%}")
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
-    require_no_slower(rows, arguments.base, arguments.share)
+    slower = [f"{row.log}: {row.name}" for row in rows if row.verdict == "slower"]
+    if slower:
+        raise RegressionError(f"slower than {arguments.base} by more than {arguments.share:.0%}: {', '.join(slower)}")
 
 
 def _jobs(folder: Path, logs: list[BenchLog], base: Path, threads: int) -> dict[str, Measure]:
@@ -168,26 +177,6 @@ def _compared(series: Series, log: str, name: str, share: float, confidence: flo
     ratio = ratio_of(base, new, confidence)
     small = name not in _WHOLE and median(base + new) < _SMALL * median(series[f"{BASE} {log}/cpu"])
     return Compared(log, title, median(base), median(new), ratio, None if small else ratio.verdict(share))
-
-
-def require_no_slower(rows: list[Compared], base: str, share: float) -> None:
-    """Check the verdicts.
-
-    Raises:
-        RegressionError: a quantity is slower by more than the share.
-    """
-    slower = [f"{row.log}: {row.name}" for row in rows if row.verdict == "slower"]
-    if slower:
-        raise RegressionError(f"slower than {base} by more than {share:.0%}: {', '.join(slower)}")
-
-
-def _table(log: str, rows: list[Compared]) -> str:
-    lines = []
-    for item in rows:
-        ratio = (None, None, None) if item.ratio is None else (item.ratio.middle, item.ratio.low, item.ratio.high)
-        times = (cell(item.base, 2), cell(item.new, 2))
-        lines.append((item.name, *times, *(cell(value, 3) for value in ratio), item.verdict or ""))
-    return markdown((f"{log}, ms a frame", "base", "new", "new / base", "from", "to", ""), lines)
 
 
 if __name__ == "__main__":

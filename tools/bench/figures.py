@@ -1,11 +1,12 @@
 """Run measurements in rounds, compute figures with their limits, and write both as tables and JSON."""
 
 import json
+import math
 import os
 import platform
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from time import process_time
@@ -19,6 +20,17 @@ from roadperc_stream.system.text import print_line
 
 from .inputs import WARM_UP
 
+CONTROL: Final = "control"
+COMPARED: Final = ("png", "jpeg", "stereo")
+"""Logs for the course method."""
+LOGS: Final = (*COMPARED, "truth")
+BARE, HELP = "import numpy, cv2", "--help"
+ONE, ALL = "one thread", "all threads"
+Series = dict[str, list[float]]
+"""One value per round for each quantity, such as ``replay png, one thread/cpu``."""
+Measure = Callable[[], dict[str, float]]
+"""Returns quantities by name, in ms per frame unless the name says otherwise."""
+
 
 def control() -> float:
     """Return the CPU time in ms of a fixed workload: compression, filtering and Python code, about 250 ms."""
@@ -28,13 +40,6 @@ def control() -> float:
         zlib.compress(cv2.GaussianBlur(pixels, (9, 9), 2.0).tobytes(), 6)
         sum(index * index for index in range(100_000))
     return (process_time() - started) * 1000
-
-
-CONTROL = "control"
-Series = dict[str, list[float]]
-"""One value per round for each quantity, such as ``replay png, one thread/cpu``."""
-Measure = Callable[[], dict[str, float]]
-"""Returns quantities by name, in ms per frame unless the name says otherwise."""
 
 
 def measured(jobs: Mapping[str, Measure], rounds: int) -> Series:
@@ -53,40 +58,25 @@ def measured(jobs: Mapping[str, Measure], rounds: int) -> Series:
     return series
 
 
-def parts_of(series: Series, job: str) -> dict[str, float]:
-    """Return the medians of a job's parts by name."""
-    start = f"{job}/part/"
-    return {name.removeprefix(start): median(values) for name, values in series.items() if name.startswith(start)}
-
-
-ONE, ALL = "one thread", "all threads"
-COMPARED: Final = ("png", "jpeg", "stereo")
-"""Logs for the course method."""
-LOGS: Final = (*COMPARED, "truth")
-BARE, HELP = "import numpy, cv2", "--help"
-
-
 @dataclass(frozen=True)
 class SpeedFigure:
-    """A figure with its limits ``least`` and ``most``."""
+    """A quantity, or its ratio to another quantity of the same round, with its limits."""
 
     name: str
-    value: float
-    least: float | None = None
-    most: float | None = None
-
-    @property
-    def met(self) -> bool | None:
-        """Return True if the figure is within its limits; None without limits."""
-        if self.least is None and self.most is None:
-            return None
-        return (self.least is None or self.value >= self.least) and (self.most is None or self.value <= self.most)
+    quantity: str
+    over: str | None = None
+    least: float = -math.inf
+    most: float = math.inf
 
     @property
     def wanted(self) -> str:
         """Return the limits as text."""
         bounds = (("≥", self.least), ("≤", self.most))
-        return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
+        return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if math.isfinite(bound))
+
+    def met(self, value: float) -> str:
+        """Return ``met`` or ``missed``, or an empty text without limits."""
+        return "" if not self.wanted else "met" if self.least <= value <= self.most else "missed"
 
 
 def replay_name(log: str, threads: str) -> str:
@@ -94,35 +84,39 @@ def replay_name(log: str, threads: str) -> str:
     return f"replay {log}, {threads}"
 
 
-def figures(series: Series) -> list[SpeedFigure]:
-    """Return all figures of the series: medians over the rounds, of ratios within a round."""
-    png, speeds = replay_name("png", ONE), {"png": 7.0, "jpeg": 9.0, "stereo": 5.0}
-    clocks = [("cpu", ONE, log, least) for log, least in speeds.items()]
-    clocks += [("wall", ALL, log, least) for log, least in {"png": 10.0, "jpeg": 12.0}.items()]
-    rows: list[tuple[str, str, str | None, float | None, float | None]] = []
-    for clock, threads, log, least in clocks:
-        name, over = f"{log}: course method over replay, {clock}, {threads}", f"{replay_name(log, threads)}/{clock}"
-        rows.append((name, f"course {log}/{clock}", over, least, None))
-    rows += [
-        ("objects: p95 over median", f"{png}/objects p95 over median", None, None, 4.0),
-        ("sum of parts over total", f"{png}/parts over total", None, 0.97, 1.03),
-        ("total of frames over cpu of replay", f"{png}/part/total", f"{png}/cpu", None, None),
-        ("peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", None, None, 500.0),
-    ]
-    for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{png}/first frame", 6.0)):
-        for clock in ("cpu", "wall"):
-            rows.append((f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", None, most))
-    found = ((name, median_of(series, above, below), least, most) for name, above, below, least, most in rows)
-    return [SpeedFigure(name, value, least, most) for name, value, least, most in found if value is not None]
+def _over_replay(log: str, clock: str, threads: str, least: float) -> SpeedFigure:
+    name = f"{log}: course method over replay, {clock}, {threads}"
+    return SpeedFigure(name, f"course {log}/{clock}", f"{replay_name(log, threads)}/{clock}", least=least)
+
+
+_PNG: Final = replay_name("png", ONE)
+FIGURES: Final = (
+    *(_over_replay(log, "cpu", ONE, least) for log, least in (("png", 7), ("jpeg", 9), ("stereo", 5))),
+    *(_over_replay(log, "wall", ALL, least) for log, least in (("png", 10), ("jpeg", 12))),
+    SpeedFigure("objects: p95 over median", f"{_PNG}/objects p95 over median", most=4),
+    SpeedFigure("sum of parts over total", f"{_PNG}/parts over total", least=0.97, most=1.03),
+    SpeedFigure("total of frames over cpu of replay", f"{_PNG}/part/total", f"{_PNG}/cpu"),
+    SpeedFigure("peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", most=500),
+    *(
+        SpeedFigure(f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", most=most)
+        for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{_PNG}/first frame", 6))
+        for clock in ("cpu", "wall")
+    ),
+)
+
+
+def figures(series: Series) -> list[tuple[SpeedFigure, float]]:
+    """Return the measured figures with their values: medians over the rounds, of ratios within a round."""
+    found = ((figure, median_of(series, figure.quantity, figure.over)) for figure in FIGURES)
+    return [(figure, value) for figure, value in found if value is not None]
 
 
 def median_of(series: Series, quantity: str, over: str | None = None) -> float | None:
     """Return the median of a quantity, or of its ratio to another; None if one was not measured."""
     if quantity not in series or (over is not None and over not in series):
         return None
-    if over is None:
-        return median(series[quantity])
-    return median(a / b for a, b in zip(series[quantity], series[over], strict=True))
+    values = series[quantity]
+    return median(values if over is None else (a / b for a, b in zip(values, series[over], strict=True)))
 
 
 def noise(series: Series) -> float:
@@ -131,17 +125,15 @@ def noise(series: Series) -> float:
     return (max(values) - min(values)) / median(values)
 
 
-_MET: Final = {None: "", True: "met", False: "missed"}
-
-
-def tables(series: Series, found: Sequence[SpeedFigure]) -> list[str]:
+def tables(series: Series) -> list[str]:
     """Return the times of runs and parts, the figures, and the noise of the machine."""
     control = series[CONTROL]
+    rows = ((figure.name, f"{value:.2f}", figure.met(value), figure.wanted) for figure, value in figures(series))
     return [
         _runs(series),
         _parts(series, "a replay with one thread", {name: replay_name(name, ONE) for name in LOGS}),
         _parts(series, "the course method", {name: f"course {name}" for name in COMPARED}),
-        figures_table(found),
+        markdown(("figure", "measured", "", "wanted"), rows),
         f"Control workload: {median(control):.0f} ms of CPU time, {min(control):.0f} to {max(control):.0f}: noise of "
         f"{noise(series):.0%}.",
     ]
@@ -158,12 +150,6 @@ def cell(value: float | None, decimals: int = 1) -> str:
     return "" if value is None else f"{value:.{decimals}f}"
 
 
-def figures_table(found: Sequence[SpeedFigure]) -> str:
-    """Return a table with one row per figure."""
-    rows = ((item.name, f"{item.value:.2f}", _MET[item.met], item.wanted) for item in found)
-    return markdown(("figure", "measured", "", "wanted"), rows)
-
-
 def _runs(series: Series) -> str:
     names = dict.fromkeys(key.split("/")[0] for key in series if key != CONTROL)
     quantities = {"cpu": 1, "wall": 1, "peak_mb": 0, "first frame/wall": 0}
@@ -171,31 +157,38 @@ def _runs(series: Series) -> str:
         (name, *(cell(median_of(series, f"{name}/{key}"), decimals) for key, decimals in quantities.items()))
         for name in names
     )
-    note = (
-        f"Medians of the rounds, for logs per frame without the start (the time of the first {WARM_UP} frames alone)."
-    )
+    note = f"Medians of the rounds, per frame without the start (the time of the first {WARM_UP} frames alone)."
     return markdown(("run", "cpu ms", "wall ms", "peak MB", "first frame ms"), rows) + f"\n{note}\n"
+
+
+def parts_of(series: Series, job: str) -> dict[str, float]:
+    """Return the medians of a job's parts by name."""
+    start = f"{job}/part/"
+    return {name.removeprefix(start): median(values) for name, values in series.items() if name.startswith(start)}
 
 
 def _parts(series: Series, title: str, jobs: dict[str, str]) -> str:
     """Return a table with a column per log and a row per part; the last row is the total or the sum."""
     columns = {log: parts for log, job in jobs.items() if (parts := parts_of(series, job))}
+    for parts in columns.values():
+        parts["total"] = parts.pop("total", sum(parts.values()))
     names = dict.fromkeys(name for parts in columns.values() for name in parts)
-    if "total" not in names:
-        columns = {log: {**parts, "total": sum(parts.values())} for log, parts in columns.items()}
     ordered = (*(name for name in names if name != "total"), "total")
     rows = ((name, *(cell(parts.get(name)) for parts in columns.values())) for name in ordered)
     return markdown((f"{title}, ms a frame", *columns), rows)
 
 
-def write_json(path: Path, series: Series, found: Sequence[SpeedFigure], about: dict[str, Any]) -> None:
+def write_json(path: Path, series: Series, about: dict[str, Any]) -> None:
     """Write the figures, and the values of each quantity, as JSON."""
     versions = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
     content = {
         "version": __version__,
         "machine": {"processors": os.cpu_count(), **versions},
         **about,
-        "figures": [{**asdict(figure), "met": figure.met} for figure in found],
+        "figures": [
+            {"name": figure.name, "value": value, "wanted": figure.wanted, "met": figure.met(value)}
+            for figure, value in figures(series)
+        ],
         "series": series,
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

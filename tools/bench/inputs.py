@@ -3,7 +3,6 @@
 import argparse
 import hashlib
 import shutil
-from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -11,7 +10,7 @@ from typing import Final
 from roadperc_stream.cli.convert import main as convert
 from roadperc_stream.cli.values import whole_number
 from roadperc_stream.errors import DumpError
-from roadperc_stream.log import LogSummary, LogWriter, Message, summarise
+from roadperc_stream.log import LogSummary, LogWriter, read, summarise
 from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.text import print_line
 
@@ -52,15 +51,14 @@ def prepared(folder: Path, options: RenderOptions) -> dict[str, BenchLog]:
     Raises:
         RoadpercError: a log cannot be made.
     """
-    made_by = _digest(options)
-    kept = folder / _MADE_BY
+    made_by, kept = _digest(options), folder / _MADE_BY
+    logs = {name: BenchLog(name, *_paths(folder, name), options.frames) for name in LEFT_OUT}
     if not kept.exists() or kept.read_text() != made_by:
         kept.unlink(missing_ok=True)
-        for path in folder.glob("*.mcap"):
-            path.unlink()
-        _make(folder, options)
+        for jpeg in (False, True):
+            _make(folder, replace(options, jpeg=jpeg), [log for log in logs.values() if (log.name in JPEG) == jpeg])
         kept.write_text(made_by)
-    return {name: BenchLog(name, *_paths(folder, name), options.frames) for name in LEFT_OUT}
+    return logs
 
 
 def _paths(folder: Path, name: str) -> tuple[Path, Path, Path]:
@@ -77,40 +75,33 @@ def _digest(options: RenderOptions) -> str:
     return digest.hexdigest()
 
 
-def _make(folder: Path, options: RenderOptions) -> None:
-    for kind, names in (("png", ("png", "truth")), ("jpeg", JPEG)):
-        dump, whole = folder / f"{kind}-dump", folder / f"{kind}-whole.mcap"
-        print_line(f"rendering {options.frames} frames with {kind.upper()} images")
-        render_and_report(dump, replace(options, jpeg=kind == "jpeg"), force=True)
-        if convert([str(dump), str(whole), "--force", "--quiet"]):
-            raise DumpError(f"{dump}: the conversion failed")
-        summary = summarise(whole)
-        for name in names:
-            for path, frames in zip(_paths(folder, name), (options.frames, WARM_UP, 1), strict=True):
-                write_first_frames(summary, path, LEFT_OUT[name], frames)
-        whole.unlink()
-        shutil.rmtree(dump)
+def _make(folder: Path, options: RenderOptions, logs: list[BenchLog]) -> None:
+    dump, whole = folder / "dump", folder / "whole.mcap"
+    print_line(f"rendering {options.frames} frames with {'JPEG' if options.jpeg else 'PNG'} images")
+    render_and_report(dump, options, force=True)
+    if convert([str(dump), str(whole), "--force", "--quiet"]):
+        raise DumpError(f"{dump}: the conversion failed")
+    summary = summarise(whole)
+    for log in logs:
+        for path, frames in ((log.path, options.frames), (log.warm_up, WARM_UP), (log.first_frame, 1)):
+            _write_first_frames(summary, path, LEFT_OUT[log.name], frames)
+    whole.unlink()
+    shutil.rmtree(dump)
 
 
-def write_first_frames(summary: LogSummary, target: Path, left_out: Collection[str], frames: int) -> None:
+def _write_first_frames(summary: LogSummary, target: Path, left_out: tuple[str, ...], frames: int) -> None:
     """Write the first frames of a log, without topics that start with one of the prefixes ``left_out``."""
-    with LogWriter(target) as writer:
-        for message in of_frames(summary, frames):
-            if not message.channel.topic.startswith(tuple(left_out)):
-                writer.write(message)
-        for record in summary.metadata:
-            writer.describe(record)
-
-
-def of_frames(summary: LogSummary, count: int) -> Iterator[Message]:
-    """Yield the messages of a log's first frames; a front camera image starts a frame."""
     images, last_ns = 0, 0
-    for message in summary.source.messages(None, None, None):
-        if images == count and message.log_time_ns > last_ns:
-            return
-        if message.channel.topic == ROLES["image"].topic:
-            images, last_ns = images + 1, message.log_time_ns
-        yield message
+    with LogWriter(target) as writer:
+        for message in read(summary):
+            if images == frames and message.log_time_ns > last_ns:
+                break
+            if message.channel.topic == ROLES["image"].topic:  # it starts a frame
+                images, last_ns = images + 1, message.log_time_ns
+            if not message.channel.topic.startswith(left_out):
+                writer.write(message)
+        for metadata in summary.metadata:
+            writer.describe(metadata)
 
 
 def add_input_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,6 @@ import sys
 import pytest
 
 from roadperc_stream.errors import ProgramError
-from roadperc_stream.tools.bench import __main__ as bench
 from roadperc_stream.tools.bench.inputs import BenchLog
 from roadperc_stream.tools.bench.replays import cost_of, replay_cost
 from tests.batch.machines import wait_until
@@ -29,14 +28,6 @@ def test_a_replay_that_fails_is_an_error(tmp_path):
     missing = BenchLog("png", *(tmp_path / f"{part}.mcap" for part in ("in", "warm-up", "first")), 4)
     with pytest.raises(ProgramError, match="replay png ended with exit code 1"):
         replay_cost("replay png", missing, tmp_path / "out.mcap", 1)
-
-
-def test_the_course_method_precedes_the_replay_of_its_log(bench_logs, tmp_path):
-    names = list(bench._jobs(tmp_path, bench_logs, 2))
-    for log in ("png", "jpeg", "stereo"):
-        assert names.index(f"course {log}") + 1 == names.index(f"replay {log}, one thread")
-    assert "replay truth, one thread" in names
-    assert "replay png, all threads" in names
 
 
 def test_memory_and_time_are_those_of_the_program_and_its_text_is_dropped(capfd):
