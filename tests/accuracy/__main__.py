@@ -4,7 +4,6 @@ import argparse
 import os
 import re
 import time
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -15,24 +14,21 @@ from tests.accuracy.drives import ROOT
 from tests.accuracy.figures import FIGURES
 from tests.accuracy.running import remove_replays, run
 
-SEEDS = 4
-BLOCK = re.compile(r"(<!-- figures -->\n).*?(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(?<=<!-- figures -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
 VERDICTS = {True: "yes", False: "no", None: ""}
+STYLES = {True: "green", False: "red", None: ""}
 HEADERS = ("figure", "required", "measured", "coverage", "met")
-FIRST_SEED = 200
 
 
 def parser():
     """The command line."""
     made = argparse.ArgumentParser("python -m tests.accuracy", description=__doc__)
-    made.add_argument("--seeds", type=int, default=SEEDS, help=f"seeds per drive; town has more (default: {SEEDS})")
-    made.add_argument("--first-seed", type=int, default=FIRST_SEED, help="first seed; tune below 100 (default: 200)")
+    made.add_argument("--seeds", type=int, default=4, help="seeds per drive; town has more (default: %(default)s)")
+    made.add_argument("--first-seed", type=int, default=200, help="first seed; tune below 100 (default: %(default)s)")
     made.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: the cores)")
     made.add_argument("--folder", type=Path, default=ROOT / "logs" / "runs" / "accuracy", help="of rendered logs")
     made.add_argument("--page", type=Path, help="page whose tables are replaced")
-    made.add_argument(
-        "--only", action="append", metavar="SECTION", help="only sections that begin with this; others stay"
-    )
+    made.add_argument("--only", action="append", metavar="SECTION", help="only these sections; others stay")
     return made
 
 
@@ -55,24 +51,17 @@ def main():
     print_table(lines)
     print(f"{(time.monotonic() - started) / 60:.1f} minutes")
     if arguments.page:
+        about = f"{results.about(figures)} {summary(lines)}."
         page = arguments.page.read_text(encoding="utf-8")
-        of_figures = partial(about, results)
-        if arguments.only:
-            page = with_sections(page, lines, of_figures)
-        else:
-            page = with_figures(page, lines, of_figures(figures))
-        arguments.page.write_text(page, encoding="utf-8")
+        changed = with_tables(page, lines, about, whole=not arguments.only)
+        arguments.page.write_text(changed, encoding="utf-8")
 
 
-def about(results, figures):
-    """A sentence with the seeds and the number of frames of some figures."""
-    names = {scenario.name for figure in figures for scenario in figure.scenarios}
-    replays = [replay for name in names for replay in results.replays.get(name, ())]
-    if not replays:
-        return "No frames replayed."
-    seeds = sorted({replay.seed for replay in replays})
-    frames = sum(replay.frames.height for replay in replays)
-    return f"Seeds {seeds[0]} to {seeds[-1]}, {frames} frames replayed."
+def summary(lines):
+    """A sentence with the number of required figures that are met."""
+    verdicts = [measured.met for figure, measured in lines if figure.required]
+    met, missing = verdicts.count(True), verdicts.count(None)
+    return f"{met} of {len(verdicts)} required figures are met, {missing} could not be measured"
 
 
 def cells(figure, measured):
@@ -80,12 +69,9 @@ def cells(figure, measured):
     return figure.name, figure.required, measured.text, measured.coverage, VERDICTS[measured.met]
 
 
-def summary(lines):
-    """A sentence with the number of required figures that are met."""
-    required = [(figure, measured) for figure, measured in lines if figure.required]
-    met = sum(bool(measured.met) for _, measured in required)
-    missing = sum(measured.met is None for _, measured in required)
-    return f"{met} of {len(required)} required figures are met, {missing} could not be measured"
+def by_section(lines):
+    """Sections with their lines."""
+    return {section: list(group) for section, group in groupby(lines, key=lambda line: line[0].section)}
 
 
 def print_table(lines):
@@ -93,56 +79,33 @@ def print_table(lines):
     table = Table(title="Accuracy", show_lines=False)
     for header in HEADERS:
         table.add_column(header, overflow="fold")
-    for section, group in groupby(lines, key=lambda line: line[0].section):
+    for section, of_section in by_section(lines).items():
         table.add_section()
         table.add_row(f"[bold]{section}")
-        for figure, measured in group:
-            style = {True: "green", False: "red", None: ""}[measured.met]
-            table.add_row(*(text.replace("[", r"\[") for text in cells(figure, measured)), style=style)
-    console = Console()
-    console.print(table)
-    console.print(summary(lines))
+        for figure, measured in of_section:
+            texts = (text.replace("[", r"\[") for text in cells(figure, measured))
+            table.add_row(*texts, style=STYLES[measured.met])
+    Console().print(table)
+    print(summary(lines))
 
 
-def with_figures(page, lines, about):
-    """The page with its tables replaced.
-
-    Raises:
-        ValueError: the page has no markers for the tables.
-    """
-    text = f"{about} {summary(lines).capitalize()}.\n\n" + "\n".join(markdown(lines))
-    changed, count = BLOCK.subn(lambda block: f"{block[1]}{text}{block[2]}", page)
-    if count != 1:
-        raise ValueError("expected one <!-- figures --> with an <!-- end --> in the page")
-    return changed
-
-
-def with_sections(page, lines, about):
-    """The page with the tables of some sections replaced or added; ``about`` gives a sentence about some figures.
+def with_tables(page, lines, about, *, whole):
+    """The page with new tables after the sentence ``about``, or with the tables of some sections replaced or added.
 
     Raises:
         ValueError: the page has no markers for the tables.
     """
-    for section, group in groupby(lines, key=lambda line: line[0].section):
-        of_section = list(group)
-        head, *rows = markdown(of_section)
-        text = "\n".join((head, about([figure for figure, _ in of_section]) + "\n", *rows, ""))
-        table = re.compile(rf"### {re.escape(section)}\n.*?(?=### |<!-- end -->)", re.DOTALL)
-        page, count = table.subn(lambda _, text=text: text, page)
-        if not count:
-            if "<!-- end -->" not in page:
-                raise ValueError("expected an <!-- end --> in the page")
-            page = page.replace("<!-- end -->", f"\n{text}<!-- end -->")
-    return page
-
-
-def markdown(lines):
-    """Lines of Markdown: a table per section."""
-    for section, group in groupby(lines, key=lambda line: line[0].section):
-        yield f"### {section}\n"
-        yield f"| {' | '.join(HEADERS)} |\n|---|---|---|---|---|"
-        yield from (f"| {' | '.join(cells(*line))} |" for line in group)
-        yield ""
+    found = BLOCK.search(page)
+    if found is None:
+        raise ValueError("expected <!-- figures --> and <!-- end --> in the page")
+    head, *old = re.split(r"^(?=### )", found[0], flags=re.MULTILINE)
+    tables = {} if whole else {text.partition("\n")[0].removeprefix("### "): text.strip() for text in old}
+    for section, of_section in by_section(lines).items():
+        rows = "\n".join(f"| {' | '.join(cells(*line))} |" for line in of_section)
+        sentence = "" if whole else f"{about}\n\n"
+        tables[section] = f"### {section}\n\n{sentence}| {' | '.join(HEADERS)} |\n|---|---|---|---|---|\n{rows}"
+    block = "\n\n".join(filter(None, (about if whole else head.strip(), *tables.values())))
+    return f"{page[: found.start()]}{block}\n{page[found.end() :]}"
 
 
 if __name__ == "__main__":

@@ -119,26 +119,20 @@ def hide_pitch(dump_folder, mount):
 
 
 def with_noise(clean, noisy, seed, kind):
-    """Write a copy of a clean dump with noise; tags as JPEG have CARLA's colours."""
+    """Write a copy of a clean dump with noise, with the clean images as truth; tags as JPEG have CARLA's colours."""
     shutil.rmtree(noisy, ignore_errors=True)
     shutil.copytree(clean, noisy)
-    for picture in sorted((clean / "segmentation").iterdir()) if kind.tags or kind.jpeg_quality else ():
-        keep_truth(noisy, picture)
+    changed = {"segmentation": kind.tags or kind.jpeg_quality, "depth": kind.depth}
+    for name in (name for name, is_changed in changed.items() if is_changed):
+        shutil.copytree(clean / name, noisy / "truth" / name)
+    for picture in sorted((noisy / "segmentation").iterdir()) if changed["segmentation"] else ():
         tags = cv2.imread(str(picture))[..., 2]
         if kind.tags:
             tags = noise.noisy_tags(tags, kind.tags, random_of(seed, picture, "tags"))
-        write_tags(noisy / "segmentation" / picture.name, tags, kind.jpeg_quality)
-    for picture in sorted((clean / "depth").iterdir()) if kind.depth else ():
-        keep_truth(noisy, picture)
+        write_tags(picture, tags, kind.jpeg_quality)
+    for picture in sorted((noisy / "depth").iterdir()) if kind.depth else ():
         depth_m = noise.noisy_depth(depth_of(picture), kind.depth, random_of(seed, picture, "depth"))
-        dump.write_picture(noisy / "depth" / picture.name, dump.depth_picture(depth_m))
-
-
-def keep_truth(noisy, picture):
-    """Copy a clean image to the truth of a dump."""
-    truth = noisy / "truth" / picture.parent.name
-    truth.mkdir(parents=True, exist_ok=True)
-    shutil.copy(picture, truth / picture.name)
+        dump.write_picture(picture, dump.depth_picture(depth_m))
 
 
 def write_tags(path, tags, jpeg_quality):

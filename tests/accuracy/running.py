@@ -18,36 +18,43 @@ from roadperc_stream.output.tables import sidecar_path
 from tests import course
 from tests.accuracy.drives import Drive, Excerpt, make_logs
 from tests.accuracy.scenarios import Scenario
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """The tables of one replay: a row per frame, and a row per detection."""
-
-    scenario: str
-    seed: int
-    path: Path
-    frames: pl.DataFrame
-    objects: pl.DataFrame
+from tests.accuracy.values import Tables
 
 
 @dataclass(frozen=True)
 class Results:
-    """The replays of each scenario by name, and the errors of the others."""
+    """The tables of frames as files of each scenario by name and seed, and the errors of the others."""
 
-    replays: Mapping[str, Sequence[Replayed]]
+    paths: Mapping[str, Mapping[int, Path]]
     failures: Mapping[str, str]
 
     def of(self, scenarios):
-        """The replays of several scenarios.
+        """The tables of several scenarios' replays, in their order and that of the seeds.
 
         Raises:
             LookupError: a scenario has no replay; the message gives the reason.
         """
         for scenario in scenarios:
-            if scenario.name not in self.replays:
+            if scenario.name not in self.paths:
                 raise LookupError(self.failures.get(scenario.name, "not run"))
-        return [replay for scenario in scenarios for replay in self.replays[scenario.name]]
+        runs = [(seed, path) for scenario in scenarios for seed, path in sorted(self.paths[scenario.name].items())]
+        paths = [path for _, path in runs]
+        tables = []
+        for kind in (paths, [Path(str(path).replace(".metrics.", ".objects.")) for path in paths]):
+            read = [
+                pl.read_parquet(path).with_columns(replay=pl.lit(number), seed=pl.lit(seed))
+                for number, ((seed, _), path) in enumerate(zip(runs, kind, strict=True))
+            ]
+            tables.append(pl.concat(read))
+        return Tables(*tables, tuple(paths))
+
+    def about(self, figures):
+        """A sentence with the seeds and the number of frames of some figures."""
+        scenarios = {scenario for figure in figures for scenario in figure.scenarios if scenario.name in self.paths}
+        if not scenarios:
+            return "No frames replayed."
+        seeds = sorted({seed for scenario in scenarios for seed in self.paths[scenario.name]})
+        return f"Seeds {seeds[0]} to {seeds[-1]}, {self.of(scenarios).frames.height} frames replayed."
 
 
 def seeds_of(source, first, count):
@@ -56,7 +63,7 @@ def seeds_of(source, first, count):
 
 
 def run(scenarios, folder, *, first, count, jobs, said):
-    """Replay scenarios in processes; ``said`` is called after each drive.
+    """Replay scenarios in processes.
 
     Args:
         scenarios: the scenarios.
@@ -64,15 +71,15 @@ def run(scenarios, folder, *, first, count, jobs, said):
         first: the first seed.
         count: the usual number of seeds.
         jobs: number of processes.
-        said: called with a line of text.
+        said: called with a line of text after each drive.
     """
     by_source = defaultdict(list)
     for scenario in scenarios:
         by_source[scenario.source].append(scenario)
-    replays, failures = defaultdict(list), {}
+    paths, failures = defaultdict(dict), {}
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
         waiting = {
-            pool.submit(replay_source, source, seed, tuple(wanted), folder): (wanted, seed)
+            pool.submit(replay_source, source, seed, wanted, folder): (wanted, seed)
             for source, wanted in by_source.items()
             for seed in seeds_of(source, first, count)
         }
@@ -82,21 +89,14 @@ def run(scenarios, folder, *, first, count, jobs, said):
             failures |= problems
             for scenario in wanted:
                 if scenario.name not in problems:
-                    replays[scenario.name].append(load(scenario, seed, folder))
+                    paths[scenario.name][seed] = sidecar_path(target_of(scenario, seed, folder), "metrics")
             said(f"{number} of {len(waiting)}: {', '.join(scenario.name for scenario in wanted)}, seed {seed}")
-    return Results(replays, failures)
+    return Results(paths, failures)
 
 
 def target_of(scenario, seed, folder):
     """The path of a scenario's replay."""
     return folder / "replays" / f"{scenario.name.replace(' ', '').replace('%', '')}-{seed}.mcap"
-
-
-def load(scenario, seed, folder):
-    """The tables of a scenario's replay."""
-    target = target_of(scenario, seed, folder)
-    path = sidecar_path(target, "metrics")
-    return Replayed(scenario.name, seed, path, pl.read_parquet(path), pl.read_parquet(sidecar_path(target, "objects")))
 
 
 def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
@@ -105,8 +105,7 @@ def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
         if isinstance(source, Drive):
             logs = make_logs(folder, source, seed, {scenario.noise for scenario in scenarios})
         else:
-            made = excerpt(source, folder) if isinstance(source, Excerpt) else recording(Path(source), folder)
-            logs = {scenario.noise: made for scenario in scenarios}
+            logs = dict.fromkeys((scenario.noise for scenario in scenarios), recording(source, folder))
     except (LookupError, RuntimeError) as error:
         return {scenario.name: str(error) for scenario in scenarios}
     problems = {scenario.name: replay(scenario, logs[scenario.noise], seed, folder) for scenario in scenarios}
@@ -114,37 +113,25 @@ def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
 
 
 def recording(source, folder):
-    """A recording as a log.
+    """A recording, or an excerpt of one, as a log.
 
     Raises:
         LookupError: it does not exist.
         RuntimeError: it cannot be converted.
     """
-    if not source.exists():
-        raise LookupError(f"no recording {source.name}")
-    if source.is_file():
-        return source
-    target = folder / f"{source.name}.mcap"
-    if (source / "left.png").exists():
-        course.write_dump(source, folder / f"{source.name}-dump")
-        source = folder / f"{source.name}-dump"
-    if convert.main([str(source), str(target), "--quiet", "--force"]) != 0:
-        raise RuntimeError(f"{source.name} cannot be converted")
-    return target
-
-
-def excerpt(source, folder):
-    """Frames of a recording as a log.
-
-    Raises:
-        LookupError: it does not exist.
-        RuntimeError: it cannot be converted.
-    """
-    if not Path(source.folder).exists():
-        raise LookupError(f"no recording {Path(source.folder).name}")
-    dump = folder / f"{Path(source.folder).name}-{source.step}"
-    rate_hz = source.write(dump)
-    if convert.main([str(dump), f"{dump}.mcap", "--quiet", "--force", "--rate", f"{rate_hz:g}"]) != 0:
+    path, rate = Path(source.folder if isinstance(source, Excerpt) else source), ()
+    if not path.exists():
+        raise LookupError(f"no recording {path.name}")
+    if path.is_file():
+        return path
+    dump = folder / path.name
+    if isinstance(source, Excerpt):
+        dump = folder / f"{path.name}-{source.step}"
+        path, rate = dump, ("--rate", f"{source.write(dump):g}")
+    elif (path / "left.png").exists():
+        course.write_dump(path, folder / f"{path.name}-dump")
+        path = folder / f"{path.name}-dump"
+    if convert.main([str(path), f"{dump}.mcap", "--quiet", "--force", *rate]) != 0:
         raise RuntimeError(f"{dump.name} cannot be converted")
     return Path(f"{dump}.mcap")
 
@@ -153,11 +140,11 @@ def replay(scenario, log, seed, folder):
     """Replay a log and keep only the tables; returns an error line, or an empty text."""
     target = target_of(scenario, seed, folder)
     target.parent.mkdir(parents=True, exist_ok=True)
-    stages = ["--only", scenario.only] if scenario.only else []
-    settings = [part for setting in scenario.settings for part in ("--set", setting)]
+    options = ["--quiet", "--force", "--results-only"]
+    options += ["--only", scenario.only] if scenario.only else []
+    options += [word for setting in scenario.settings for word in ("--set", setting)]
+    options += ["--template", scenario.template] if scenario.template else []
     errors = io.StringIO()
-    template = ["--template", scenario.template] if scenario.template else []
-    options = ["--quiet", "--force", "--results-only", *stages, *settings, *template]
     with contextlib.redirect_stderr(errors):
         code = replay_main([str(log), str(target), *options])
     target.unlink(missing_ok=True)

@@ -7,15 +7,17 @@ from tests import course
 from tests.accuracy.drives import ROOT, Drive, Excerpt, Noise, drive
 from tests.conftest import DEFAULT_DATA
 
-CLEAN, MODEST, HEAVY = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02)
+CLEAN, MODEST, HEAVY, TAGS = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02), Noise(0.02)
+LEVELS = {"1+2 %": MODEST, "2+5 %": HEAVY}
+"""By the noise of depth and tags."""
 MOTION = "surface,odometry"
 LANES = "surface,odometry,lanes"
 OBJECTS = "surface,odometry,lanes,objects"
-TAG_NOISES = {percent: Noise(percent / 100, 0.01) for percent in (0, 5, 10, 20, 40)}
-JPEGS = {quality: Noise(jpeg_quality=quality) for quality in (95, 75)}
-BLIND = Noise(0.02, 0.3)
 MODELS = ("plane", "spline", "auto")
 DATA = os.environ.get("ROADPERC_DATA", str(DEFAULT_DATA))
+SAMPLE = str(ROOT / "logs" / "sample.mcap")
+ONE_CAMERA = {"without": ("depth", "right"), "fov_deg": 70.0}
+SMALL = {"width": 320, "height": 240}
 
 
 @dataclass(frozen=True)
@@ -30,45 +32,175 @@ class Scenario:
     template: str = ""
 
 
+def replays(drives, noise, only, name="{}"):
+    """Scenarios of some drives; ``name`` is a format for the drive's name."""
+    return tuple(Scenario(name.format(of.name), of, noise, only) for of in drives)
+
+
+def tilted(name, scene, pitch_deg, **options):
+    """A drive with one camera whose pitch the log does not say."""
+    mount = (1.5, 0.0, 1.4, 0.0, pitch_deg, 0.0)
+    return drive(name, scene=scene, mount=mount, pitch_is_unknown=True, **(ONE_CAMERA | options))
+
+
+def of_town(name, seeds=1.0, **options):
+    """A drive of 8 s in the town."""
+    return drive(name, seeds, **({"scene": "town", "rate_hz": 5.0, "seconds": 8.0} | options))
+
+
 CHANGES = (
     drive("change-left-back", scene="bend", change_lane="left", change_back=True, seconds=11.0),
     drive("change-right", scene="town", change_lane="right", seconds=6.5),
     drive("change-broken-off", scene="straight", change_lane="left", change_broken_off=True, seconds=6.0),
 )
-SWEPT = (CHANGES[1], drive("bend", scene="bend", weave_m=0.5, seconds=4.0))
-TWO_HZ = drive("two-hz", scene="bend", weave_m=0.5, rate_hz=2.0, seconds=15.0)
-HILL = drive("hill", scene="hill", rate_hz=2.0, seconds=8.0)
-TOWN = drive("town", 2.5, scene="town", path_truth=True, rate_hz=5.0, seconds=8.0)
-MERGE = drive("merge", scene="bend", lane="merges", path_truth=True, seconds=8.0)
-ROWS = {
-    kind: drive(f"parked-{kind}", scene="town", parked_rows=True, whole_boxes=kind == "whole", rate_hz=5.0, seconds=6.0)
+BEND = drive("bend", scene="bend", weave_m=0.5, seconds=4.0)
+COMPARED = (CHANGES[1], BEND)
+"""The scenes of the noise comparison."""
+CHANGED = replays(CHANGES, MODEST, LANES)
+TURNED = replays(
+    (drive(f"whole-turn-{side}", scene="town", turn=side, seconds=11.0) for side in ("left", "right")), MODEST, LANES
+)
+BY_TAG_NOISE = {
+    level: replays(COMPARED, Noise(level / 100, 0.01), LANES, f"tags {level} %, {{}}") for level in (0, 5, 10, 20, 40)
+}
+BY_JPEG = {
+    quality: replays(COMPARED, Noise(jpeg_quality=quality), LANES, f"jpeg {quality}, {{}}") for quality in (95, 75)
+}
+WITHOUT_DEPTH = replays(COMPARED, Noise(0.02, 0.3), LANES, "depth 30 %, {}")
+AT_TWO_HZ = (Scenario("2 Hz", drive("two-hz", scene="bend", weave_m=0.5, rate_hz=2.0, seconds=15.0), MODEST, LANES),)
+BEHIND_BONNET = tuple(
+    Scenario(name, drive(name, scene="bend", bonnet=0.4, seconds=3.0, without=without), noise, LANES)
+    for name, without, noise in (("bonnet", ("right",), MODEST), ("bonnet-alone", ("right", "depth"), TAGS))
+)
+ONE_BY_ONE = replays(
+    (
+        tilted(f"still-{pitch_deg}", scene, pitch_deg, rate_hz=0.2, seconds=20.0, fov_deg=55.0)
+        for pitch_deg, scene in (
+            (-6.0, "straight"),
+            (-3.0, "bend"),
+            (0.0, "straight"),
+            (3.0, "bend"),
+            (6.0, "straight"),
+        )
+    ),
+    TAGS,
+    LANES,
+)
+COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
+
+ROADS = {"hill": drive("hill", scene="hill", rate_hz=2.0, seconds=8.0), "bend": BEND, "sample": SAMPLE}
+BY_MODEL = {
+    (road, model): (
+        Scenario(f"{road}, {model}", of, CLEAN if of == SAMPLE else MODEST, LANES, (f"surface.model={model}",)),
+    )
+    for road, of in ROADS.items()
+    for model in MODELS
+}
+SPARSE = replays(
+    (
+        drive(f"lidar-{scene}", scene=scene, lidar=True, weave_m=0.5, seconds=4.0, without=("right", "depth"))
+        for scene in ("bend", "town")
+    ),
+    TAGS,
+    LANES,
+)
+
+KITTI = f"{DATA}/kitti_odometry"
+KITTI_WAYS = {
+    name: (Scenario(f"kitti, {name}", KITTI if step == 1 else Excerpt(KITTI, step), only=MOTION),)
+    for name, step in (("forwards", 1), ("backwards", -1), ("every second frame", 2))
+}
+ALONE_TURN = (
+    Scenario(
+        "one camera, turn",
+        drive("alone-turn", scene="town", turn="left", seconds=12.0, speed_mps=6.0, **SMALL, **ONE_CAMERA),
+        TAGS,
+        MOTION,
+    ),
+)
+TILTED = replays(
+    (
+        tilted(f"tilted-{scene}", scene, pitch_deg, seconds=6.0, **SMALL)
+        for scene, pitch_deg in (("straight", -3.0), ("bend", 3.0))
+    ),
+    TAGS,
+    MOTION,
+)
+AT_WIDE_BASELINES = {
+    features: tuple(
+        Scenario(
+            f"wide-turn-{side}, {features}",
+            drive(f"wide-turn-{side}", scene="town", turn=side, rate_hz=2.0, seconds=12.0, speed_mps=5.0),
+            CLEAN,
+            MOTION,
+            (f"odometry.features={features}",),
+        )
+        for side in ("left", "right")
+    )
+    for features in ("klt", "orb")
+}
+EXPOSURES = {
+    kind: (
+        Scenario(
+            f"exposure {kind}",
+            drive(f"exposure-{kind}", scene="town", exposure=kind, rate_hz=rate_hz, seconds=3.0, **SMALL),
+            MODEST,
+            MOTION,
+        ),
+    )
+    for kind, rate_hz in (("steps", 10.0), ("frames", 10.0), ("blackouts", 20.0))
+}
+
+STANDARD = (Scenario("sample", SAMPLE),)
+TOWN = of_town("town", 2.5, path_truth=True)
+TOWNS = {level: (Scenario(f"town, {level}", TOWN, noise, OBJECTS),) for level, noise in LEVELS.items()}
+NOISY_TOWNS = {
+    level: (Scenario(f"town, tags {level} %", TOWN, Noise(level / 100, 0.01), OBJECTS),) for level in (10, 20)
+}
+WHOLE = of_town("town-whole", 2.0, path_truth=True, whole_boxes=True)
+WHOLE_BOXES = {
+    level: (Scenario(f"town, whole boxes, {level}", WHOLE, noise, OBJECTS),) for level, noise in LEVELS.items()
+}
+PARKED = {
+    kind: (
+        Scenario(
+            f"parked rows, {kind}",
+            of_town(f"parked-{kind}", parked_rows=True, whole_boxes=kind == "whole", seconds=6.0),
+            MODEST,
+            OBJECTS,
+        ),
+    )
     for kind in ("seen", "whole")
 }
-WHOLE = drive("town-whole", 2.0, scene="town", path_truth=True, whole_boxes=True, rate_hz=5.0, seconds=8.0)
-TURN = drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0)
-TURNS = tuple(drive(f"whole-turn-{side}", scene="town", turn=side, seconds=11.0) for side in ("left", "right"))
-LIDARS = tuple(
-    drive(f"lidar-{scene}", scene=scene, lidar=True, weave_m=0.5, seconds=4.0, without=("right", "depth"))
-    for scene in ("bend", "town")
+WITHOUT_TAGS = {"only": "surface,objects"}
+UNTAGGED = {
+    "depth": (
+        Scenario(
+            "no tags, depth",
+            of_town("untagged", rate_hz=1.25, without=("right", "segmentation")),
+            Noise(depth=0.01),
+            **WITHOUT_TAGS,
+        ),
+    ),
+    "lidar": (
+        Scenario(
+            "no tags, lidar",
+            of_town("untagged-lidar", rate_hz=1.25, lidar=True, without=("right", "segmentation", "depth")),
+            **WITHOUT_TAGS,
+        ),
+    ),
+    "KITTI": (Scenario("kitti object", f"{DATA}/kitti_object", **WITHOUT_TAGS),),
+}
+COURSE_OBSTACLE = (
+    Scenario("course obstacle", f"{DATA}/course_stereo", settings=course.SETTINGS, template=course.TEMPLATE),
 )
-BONNETS = tuple(
-    drive(name, scene="bend", bonnet=0.4, seconds=3.0, without=without)
-    for name, without in (("bonnet", ("right",)), ("bonnet-alone", ("right", "depth")))
-)
-STILLS = tuple(
-    drive(
-        f"still-{pitch_deg}",
-        scene=scene,
-        rate_hz=0.2,
-        seconds=20.0,
-        fov_deg=55.0,
-        mount=(1.5, 0.0, 1.4, 0.0, pitch_deg, 0.0),
-        pitch_is_unknown=True,
-        without=("right", "depth"),
-    )
-    for pitch_deg, scene in ((-6.0, "straight"), (-3.0, "bend"), (0.0, "straight"), (3.0, "bend"), (6.0, "straight"))
+
+TURNING = (Scenario("turn", drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0), MODEST, OBJECTS),)
+MERGING = (
+    Scenario("merge", drive("merge", scene="bend", lane="merges", path_truth=True, seconds=8.0), MODEST, OBJECTS),
 )
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
+BRAKING = {level: replays(LEADS, noise, OBJECTS, f"{{}}, {level}") for level, noise in LEVELS.items()}
 APPROACHES = tuple(
     drive(f"runner-{rate:g}-{speed:g}", scene=scene, path_truth=True, rate_hz=rate, speed_mps=speed, seconds=40 / speed)
     for rate, speed, scene in (
@@ -85,143 +217,15 @@ CROSSED = tuple(
     drive(f"crossed-{speed:g}", scene="straight", crossing_cars=True, speed_mps=speed, seconds=4.2)
     for speed in (5.0, 12.0)
 )
-SAMPLE = str(ROOT / "logs" / "sample.mcap")
-KITTI = f"{DATA}/kitti_odometry"
-COURSE_STEREO = f"{DATA}/course_stereo"
-
-
-def swept(prefix, noise):
-    """The scenes of the noise comparison, with one kind of noise."""
-    return tuple(Scenario(f"{prefix}, {of.name}", of, noise, LANES) for of in SWEPT)
-
-
-CHANGED = tuple(Scenario(of.name, of, MODEST, LANES) for of in CHANGES)
-BY_TAG_NOISE = {percent: swept(f"tags {percent} %", noise) for percent, noise in TAG_NOISES.items()}
-BY_JPEG = {quality: swept(f"jpeg {quality}", noise) for quality, noise in JPEGS.items()}
-WITHOUT_DEPTH = swept("depth 30 %", BLIND)
-AT_TWO_HZ = (Scenario("2 Hz", TWO_HZ, MODEST, LANES),)
-ROADS = {"hill": HILL, "bend": SWEPT[1], "sample": SAMPLE}
-BY_MODEL = {
-    (road, model): (
-        Scenario(f"{road}, {model}", of, CLEAN if of == SAMPLE else MODEST, LANES, (f"surface.model={model}",)),
-    )
-    for road, of in ROADS.items()
-    for model in MODELS
-}
-TOWNS = {
-    level: (Scenario(f"town, {level}", TOWN, noise, OBJECTS),) for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
-}
-NOISY_TOWNS = {
-    percent: (Scenario(f"town, tags {percent} %", TOWN, TAG_NOISES[percent], OBJECTS),) for percent in (10, 20)
-}
-PARKED = {kind: (Scenario(f"parked rows, {kind}", of, MODEST, OBJECTS),) for kind, of in ROWS.items()}
-MERGING = (Scenario("merge", MERGE, MODEST, OBJECTS),)
-WHOLE_BOXES = {
-    level: (Scenario(f"town, whole boxes, {level}", WHOLE, noise, OBJECTS),)
-    for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
-}
-TURNING = (Scenario("turn", TURN, MODEST, OBJECTS),)
-TURNED = tuple(Scenario(of.name, of, MODEST, LANES) for of in TURNS)
-SPARSE = tuple(Scenario(of.name, of, Noise(0.02), LANES) for of in LIDARS)
-BEHIND_BONNET = tuple(
-    Scenario(of.name, of, noise, LANES) for of, noise in zip(BONNETS, (MODEST, Noise(0.02)), strict=True)
-)
-ONE_BY_ONE = tuple(Scenario(of.name, of, Noise(0.02), LANES) for of in STILLS)
-BRAKING = {
-    level: tuple(Scenario(f"{of.name}, {level}", of, noise, OBJECTS) for of in LEADS)
-    for level, noise in (("1+2 %", MODEST), ("2+5 %", HEAVY))
-}
-UNTAGGED = {
-    "depth": (
-        Scenario(
-            "no tags, depth",
-            drive("untagged", scene="town", rate_hz=1.25, seconds=8.0, without=("right", "segmentation")),
-            Noise(depth=0.01),
-            "surface,objects",
-        ),
-    ),
-    "lidar": (
-        Scenario(
-            "no tags, lidar",
-            drive(
-                "untagged-lidar",
-                scene="town",
-                rate_hz=1.25,
-                seconds=8.0,
-                lidar=True,
-                without=("right", "segmentation", "depth"),
-            ),
-            CLEAN,
-            "surface,objects",
-        ),
-    ),
-    "KITTI": (Scenario("kitti object", f"{DATA}/kitti_object", only="surface,objects"),),
-}
-APPROACHING = tuple(Scenario(of.name, of, MODEST, OBJECTS) for of in (*APPROACHES, *CROSSED))
-ONE_CAMERA = {"without": ("depth", "right"), "fov_deg": 70.0}
-ALONE_LEADS = tuple(
-    Scenario(f"one camera, {of.name}", of, Noise(0.02), OBJECTS)
-    for of in (
+APPROACHING = replays((*APPROACHES, *CROSSED), MODEST, OBJECTS)
+ALONE_LEADS = replays(
+    (
         drive(f"alone-{scene}", scene=scene, lead_brakes=True, seconds=5.0, pitch_std_deg=0.2, **ONE_CAMERA)
         for scene in ("straight", "bend")
-    )
-)
-ALONE_TOWN = Scenario(
-    "one camera, town",
-    drive("alone-town", scene="town", path_truth=True, rate_hz=5.0, seconds=8.0, **ONE_CAMERA),
-    Noise(0.02),
-    OBJECTS,
-)
-ALONE = (*ALONE_LEADS, ALONE_TOWN)
-STANDARD = (Scenario("sample", SAMPLE),)
-COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
-COURSE_OBSTACLE = (Scenario("course obstacle", COURSE_STEREO, settings=course.SETTINGS, template=course.TEMPLATE),)
-SMALL = {"scene": "town", "width": 320, "height": 240, "seconds": 3.0}
-EXPOSURES = {
-    kind: (
-        Scenario(
-            f"exposure {kind}", drive(f"exposure-{kind}", exposure=kind, rate_hz=rate_hz, **SMALL), MODEST, MOTION
-        ),
-    )
-    for kind, rate_hz in (("steps", 10.0), ("frames", 10.0), ("blackouts", 20.0))
-}
-KITTI_WAYS = {
-    name: (Scenario(f"kitti, {name}", KITTI if step == 1 else Excerpt(KITTI, step), only=MOTION),)
-    for name, step in (("forwards", 1), ("backwards", -1), ("every second frame", 2))
-}
-ALONE_TURN = (
-    Scenario(
-        "one camera, turn",
-        drive(
-            "alone-turn", scene="town", turn="left", width=320, height=240, seconds=12.0, speed_mps=6.0, **ONE_CAMERA
-        ),
-        Noise(0.02),
-        MOTION,
     ),
+    TAGS,
+    OBJECTS,
+    "one camera, {}",
 )
-WIDE_TURNS = tuple(
-    drive(f"wide-turn-{side}", scene="town", turn=side, rate_hz=2.0, seconds=12.0, speed_mps=5.0)
-    for side in ("left", "right")
-)
-AT_WIDE_BASELINES = {
-    features: tuple(
-        Scenario(f"{of.name}, {features}", of, CLEAN, MOTION, (f"odometry.features={features}",)) for of in WIDE_TURNS
-    )
-    for features in ("klt", "orb")
-}
-TILTED = tuple(
-    Scenario(of.name, of, Noise(0.02), MOTION)
-    for of in (
-        drive(
-            f"tilted-{scene}",
-            scene=scene,
-            width=320,
-            height=240,
-            seconds=6.0,
-            mount=(1.5, 0.0, 1.4, 0.0, pitch_deg, 0.0),
-            pitch_is_unknown=True,
-            **ONE_CAMERA,
-        )
-        for scene, pitch_deg in (("straight", -3.0), ("bend", 3.0))
-    )
-)
+ALONE_TOWN = Scenario("one camera, town", of_town("alone-town", path_truth=True, **ONE_CAMERA), TAGS, OBJECTS)
+ALONE = (*ALONE_LEADS, ALONE_TOWN)

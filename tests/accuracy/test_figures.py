@@ -1,60 +1,43 @@
-"""The list of figures, their bounds, and their display."""
+"""The figures: every one can be measured and judged, and the tables of the page are replaced."""
 
-import polars as pl
 import pytest
 
-from tests.accuracy import of_motion, of_objects, of_uncertainty
-from tests.accuracy.__main__ import cells, summary, with_figures, with_sections
-from tests.accuracy.drives import Drive, drive
+from tests.accuracy.__main__ import summary, with_tables
+from tests.accuracy.bounds import Measured, Value, at_least, at_most
+from tests.accuracy.drives import Drive, Noise, drive
 from tests.accuracy.figures import FIGURES, Figure
-from tests.accuracy.running import Replayed, Results, seeds_of
-from tests.accuracy.scenarios import BY_MODEL
-from tests.accuracy.values import Measured, Value, at_least, at_most, judged, nothing
-from tests.eval.tables import row, write
-
-NONE = Results({}, {})
+from tests.accuracy.running import Results, replay_source, run, seeds_of
+from tests.accuracy.scenarios import Scenario
 
 
-def frames(**columns):
-    return [Replayed("drive", 0, None, pl.DataFrame(columns), None)]
-
-
-def test_every_figure_says_why_it_is_not_measured():
-    for figure in FIGURES:
-        found = figure.measured(NONE)
-        assert found.met is None, figure.name
-        assert "not measured" in found.text or "absent" in found.text
-
-
-def test_figures_scenarios_and_drives_have_unique_names():
+def test_figures_scenarios_and_drives_have_unique_names_and_valid_options():
     names = [(figure.section, figure.name) for figure in FIGURES]
     assert len(set(names)) == len(names)
     scenarios = {scenario for figure in FIGURES for scenario in figure.scenarios}
     assert len({scenario.name for scenario in scenarios}) == len(scenarios)
     drives = {scenario.source for scenario in scenarios if isinstance(scenario.source, Drive)}
     assert len({of.name for of in drives}) == len(drives)
+    for of in drives:
+        of.options.check()
 
 
-def test_the_renderer_takes_every_drive():
-    for scenario in {scenario for figure in FIGURES for scenario in figure.scenarios}:
-        if isinstance(scenario.source, Drive):
-            scenario.source.options.check()
+def test_every_figure_says_why_it_is_not_measured():
+    assert {figure.measured(Results({}, {})) for figure in FIGURES} == {Measured("not measured: not run", "", None)}
 
 
 @pytest.mark.parametrize(
     ("bound", "number", "expected"),
     [
-        (at_most(1, "%"), 1.0, ("≤ 1 %", "1.0 %", True)),
-        (at_most(1, "%"), 1.01, ("≤ 1 %", "1.0 %", False)),
+        (at_most(1), 1.0, ("≤ 1 %", "1.0 %", True)),
+        (at_most(1), 1.01, ("≤ 1 %", "1.0 %", False)),
         (at_least(0.995, ""), 0.994, ("≥ 0.995", "0.9940", False)),
         (at_most(None, "cm"), 3.0, ("", "3.00 cm", None)),
-        (None, 3.0, (None, "3.0 %", None)),
-        (at_most(1, "%"), None, ("≤ 1 %", "not measured: no such frame", None)),
+        (at_most(1), None, ("≤ 1 %", "not measured: no such frame", None)),
     ],
 )
 def test_a_value_is_judged_by_its_bound(bound, number, expected):
-    found = judged(bound, Value(number, 0.5))
-    assert (bound and bound.text, found.text, found.met) == expected
+    found = bound.judge(Value(number, 0.5))
+    assert (bound.text, found.text, found.met) == expected
     assert found.coverage == ("" if number is None else "50.0 %")
 
 
@@ -64,78 +47,48 @@ def test_the_number_of_seeds_depends_on_the_drive():
     assert list(seeds_of("logs/sample.mcap", 100, 8)) == [100]
 
 
-def test_steps_without_scale_reduce_the_coverage():
-    replays = frames(step_m=[None, 1.1, None, 0.9], true_step_m=[None, 1.0, 1.0, 1.0])
-    assert of_motion.step_error(replays).number == pytest.approx(10.0)
-    assert of_motion.length_error(replays).number == pytest.approx(0.0, abs=1e-9)
-    assert of_motion.with_scale(replays).number == pytest.approx(200 / 3)
-
-
-@pytest.mark.parametrize(("auto", "met"), [(0.022, True), (0.023, False), (None, None)])
-def test_the_chosen_model_is_compared_with_the_better_one(auto, met):
-    found = {"plane": 0.1, "spline": 0.02, "auto": auto}
-    replays = {
-        BY_MODEL["hill", model][0].name: frames(surface_height_error_m=[error, -error])
-        for model, error in found.items()
-        if error
-    }
-    measured = of_motion.by_model("hill", "surface_height_error_m", Results(replays, {}))
-    assert measured.met is met
-    assert measured.text.startswith("10.00 / 2.00 / ")
-
-
-def test_precision_and_recall_use_sums_over_frames():
-    replays = frames(filter_tp=[8, 1], filter_fp=[1, 0], filter_fn=[0, 1])
-    assert of_objects.precision(replays).number == 0.9
-    assert of_objects.recall(replays).number == 0.9
-
-
-def test_impact_errors_count_frames_with_an_estimate():
-    true_s = [1.0, 1.0, 2.0, 9.0]
-    replays = frames(frame=[0, 1, 2, 3], time_to_impact_s=[1.1, None, 2.6, 9.0], true_time_to_impact_s=true_s)
-    assert of_objects.impact_known(replays).number == pytest.approx(200 / 3)
-    assert of_objects.impact_known(replays, first=2).number == 100.0
-    assert of_objects.impact_error(replays).number == pytest.approx(0.35)
-    assert of_objects.impact_error(replays, 0.95).coverage == pytest.approx(2 / 3)
-
-
-def test_uncertainty_equals_that_of_the_report(tmp_path):
-    path = write(tmp_path / "drive.metrics.parquet", [row(k, step_m=1.0 + k, true_step_m=1.0) for k in range(4)])
-    pl.read_parquet(path).with_columns(step_std_m=pl.Series([1.0] * 4)).write_parquet(path)
-    scenario = BY_MODEL["hill", "plane"][0]
-    results = Results({scenario.name: [Replayed(scenario.name, 0, path, None, None)]}, {})
-    assert of_uncertainty.shares("step", (scenario,), 2, results) == Measured(
-        "50.0 / 75.0 / 0.0 % (NEES 3.5)", "100.0 %", False
-    )
-    assert of_uncertainty.shares("turn", (scenario,), 2, results) == nothing("no truth")
+def line(section, text, met=None):
+    return Figure(section, "a", at_most(1), (), None), Measured(text, "50.0 %", met)
 
 
 def test_the_tables_of_the_page_are_replaced():
-    figures = [Figure("One", "a", "≤ 1 %", (), None), Figure("Two", "b", "", (), None)]
-    lines = [(figures[0], Measured("2.0 %", "50.0 %", False)), (figures[1], Measured("3.0 %", "", None))]
-    assert cells(*lines[0]) == ("a", "≤ 1 %", "2.0 %", "50.0 %", "no")
-    assert summary(lines) == "0 of 1 required figures are met, 0 could not be measured"
     page = "Before\n<!-- figures -->\nold\n<!-- end -->\nbehind\n"
-    once = with_figures(page, lines, "Seeds.")
-    assert "| a | ≤ 1 % | 2.0 % | 50.0 % | no |" in once
-    assert "old" not in once
-    assert with_figures(once, lines, "Seeds.") == once
+    lines = [line("One", "2.0 %", met=False), line("Two", "3.0 %")]
+    assert summary(lines) == "0 of 2 required figures are met, 1 could not be measured"
+    all_new = with_tables(page, lines, "Seeds.", whole=True)
+    assert "| a | ≤ 1 % | 2.0 % | 50.0 % | no |" in all_new
+    assert "old" not in all_new
+    assert with_tables(all_new, lines, "Seeds.", whole=True) == all_new
+    newer = with_tables(all_new, [line("One", "1.0 %"), line("Three", "4.0 %")], "About one.", whole=False)
+    assert "### One\n\nAbout one.\n\n| figure |" in newer
+    order = ["Before", "Seeds.", "### One", "1.0 %", "### Two", "3.0 %", "### Three", "4.0 %", "<!-- end -->", "behind"]
+    assert sorted(order, key=newer.index) == order
+    assert "2.0 %" not in newer
     with pytest.raises(ValueError, match="figures"):
-        with_figures("nothing", lines, "Seeds.")
+        with_tables("nothing", lines, "Seeds.", whole=True)
 
 
-def test_the_tables_of_some_sections_are_replaced():
-    def about_one(figures):
-        return f"About {figures[0].name}."
+TINY = drive("tiny", scene="straight", width=160, height=120, seconds=0.3)
+NOISY = Scenario("noisy", TINY, Noise(0.05), "surface,odometry,lanes")
+WRONG = Scenario("wrong setting", TINY, Noise(0.05), "surface", ("surface.model=cube",))
+ABSENT = Scenario("absent", "/no/such/recording")
 
-    figures = [Figure(section, "a", "", (), None) for section in ("One", "Two")]
-    lines = [(figure, Measured("1.0 %", "", None)) for figure in figures]
-    page = with_figures("<!-- figures -->\n<!-- end -->\n", lines, "All.")
-    newer = with_sections(page, [(figures[0], Measured("2.0 %", "", None))], about_one)
-    assert "### One\n\nAbout a.\n\n| figure |" in newer
-    assert newer.index("2.0 %") < newer.index("### Two") < newer.index("1.0 %")
-    assert with_sections(newer, [(figures[0], Measured("2.0 %", "", None))], about_one) == newer
-    added = with_sections(newer, [(Figure("Three", "b", "", (), None), Measured("3.0 %", "", None))], about_one)
-    assert added.index("1.0 %") < added.index("### Three") < added.index("3.0 %") < added.index("<!-- end -->")
-    with pytest.raises(ValueError, match="end"):
-        with_sections("nothing", lines, about_one)
+
+@pytest.mark.long
+def test_drives_are_rendered_once_and_replayed_and_failures_named(tmp_path):
+    said = []
+    results = run((NOISY, WRONG, ABSENT), tmp_path, first=7, count=1, jobs=1, said=said.append)
+    tables = results.of((NOISY,))
+    assert tables.frames.height == 3
+    assert set(tables.frames["seed"]) == {7}
+    assert set(tables.objects.columns) > {"distance_m", "true_distance_m"}
+    assert len(said) == 2
+    with pytest.raises(LookupError, match=r"surface\.model"):
+        results.of((NOISY, WRONG))
+    with pytest.raises(LookupError, match="no recording"):
+        results.of((ABSENT,))
+    (log,) = tmp_path.glob("tiny-*/7-*.mcap")
+    before = log.stat().st_mtime_ns
+    assert replay_source(TINY, 7, (NOISY,), tmp_path) == {}
+    assert log.stat().st_mtime_ns == before
+    assert not list(tmp_path.glob("tiny-7-*")), "dumps are gone"
