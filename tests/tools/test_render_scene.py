@@ -233,19 +233,16 @@ def test_spoiled_pictures_have_their_clean_ones_beside_them(rendered):
         assert 0.005 < np.mean(spoiled.tags(name) != clean.tags(name)) < 0.15
         near = clean.depth(name) < 100
         assert np.std((spoiled.depth(name) / clean.depth(name))[near]) == pytest.approx(0.01, rel=0.1)
-        assert np.std(spoiled.rgb(name) - clean.rgb(name)) == pytest.approx(2, rel=0.1)
-        assert np.std(spoiled.rgb(name, "right") - clean.rgb(name, "right")) == pytest.approx(2, rel=0.1)
+        for camera in ("rgb", "right"):
+            assert np.std(spoiled.rgb(name, camera) - clean.rgb(name, camera)) == pytest.approx(2, rel=0.1)
 
 
 def test_drop_leaves_out_files_but_none_of_the_first_frame_nor_of_the_truth(rendered):
     dump = rendered("--seconds", "2", "--rate", "10", "--size", "64x48", "--drop", "0.3", colour=True)
-    for sensor in ("rgb", "depth", "segmentation", "right"):
-        present = {path.stem for path in (dump.folder / sensor).iterdir()}
-        assert "000000" in present
-        assert 0.5 < len(present) / 20 < 0.9
+    present = [{path.stem for path in (dump.folder / sensor).iterdir()} for sensor in SENSORS]
+    assert all("000000" in names and 10 < len(names) < 18 for names in present)
+    assert present[0] != present[1]
     assert [len(list((dump.folder / "truth" / name).iterdir())) for name in ("segmentation", "depth")] == [20, 20]
-    rgb, depth = ({p.stem for p in (dump.folder / s).iterdir()} for s in ("rgb", "depth"))
-    assert rgb != depth
 
 
 def test_files_of_a_dump(rendered):
@@ -261,28 +258,17 @@ def test_files_of_a_dump(rendered):
     assert {TAG[name] for name in ("road", "road_line", "sidewalk", "building", "pole", "sky", "car")} <= seen
 
 
-@pytest.mark.parametrize("arguments", [[], ["x", "--size", "big"], ["x", "--mount", "1,2,3"]])
-def test_wrong_usage_is_exit_2(arguments):
-    with pytest.raises(SystemExit) as stop:
-        main(arguments)
-    assert stop.value.code == 2
-
-
-def test_a_full_folder_is_refused_and_force_replaces_only_the_dump(tmp_path, capsys):
+def test_a_full_folder_or_a_file_is_refused_and_force_replaces_only_the_dump(tmp_path, capsys):
     tiny = ["--size", "64x48", "--rate", "2"]
     assert main([str(tmp_path), *tiny, "--seconds", "2"]) == 0
-    (tmp_path / "notes.txt").write_text("mine")
-    assert main([str(tmp_path), *tiny]) == 1
-    assert "--force" in capsys.readouterr().err
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine")
+    for folder, words in ((tmp_path, "--force"), (notes, "expected a folder")):
+        assert main([str(folder), *tiny]) == 1
+        assert words in capsys.readouterr().err
     assert main([str(tmp_path), *tiny, "--seconds", "1", "--force"]) == 0
     assert len(list((tmp_path / "rgb").iterdir())) == 2
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-
-
-def test_a_file_in_the_folders_place_is_refused(tmp_path, capsys):
-    (tmp_path / "x").write_text("")
-    assert main([str(tmp_path / "x")]) == 1
-    assert str(tmp_path / "x") in capsys.readouterr().err
+    assert notes.read_text() == "mine"
 
 
 def carla_points(path):
@@ -340,25 +326,22 @@ WITHOUT_CAMERAS = [word for sensor in SENSORS for word in ("--without", sensor)]
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (("--seconds", "0"), "--seconds"),
         (("--seconds", "nan"), "--seconds"),
-        (("--rate", "-1"), "--rate"),
         (("--drop", "1"), "--drop"),
-        (("--tag-noise", "2"), "--tag-noise"),
         (("--size", "2x2"), "--size width"),
         (("--seed", "-1"), "--seed"),
         (("--change-back",), "--change-lane"),
         (("--change-lane", "left", "--change-back", "--change-broken-off"), "--change-broken-off"),
         (("--lead-brakes", "--stop-and-go"), "--stop-and-go"),
         (("--static", "--turn"), "--static"),
+        (("--turn", "--lead-brakes"), "--turn"),
         (("--turn", "--change-lane", "left"), "--change-lane"),
         (("--lane", "ends", "--crossing-cars"), "--lane"),
+        (("--bumps", "--turn"), "--bumps"),
         (("--bumps", "--scene", "bend"), "--bumps"),
-        (("--fov", "150"), "--fov"),
         (("--fov", "120", "--scene", "town"), "not level"),
         (("--mount", "9,0,1,0,0,0"), "--mount x"),
         (("--worn-lines", "30,20"), "--worn-lines"),
-        (("--pitch-std", "-1"), "--pitch-std"),
         (("--lidar", *WITHOUT_CAMERAS), "--without: no camera is left"),
     ],
 )

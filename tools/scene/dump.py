@@ -101,8 +101,8 @@ def calibration(rig: CameraPair, options: RenderOptions) -> dict[str, Any]:
     mountings = {}
     for sensor in SENSORS:
         x, y, z = (float(c) for c in (rig.ego_T_right if sensor == "right" else rig.ego_T_left)[:3, 3])
-        place = {"x": round(x, 7), "y": round(0.0 - y, 7), "z": round(z, 7)}
-        mountings[sensor] = {**place, "roll": roll, "pitch": pitch, "yaw": yaw}
+        position = {"x": round(x, 7), "y": round(0.0 - y, 7), "z": round(z, 7)}
+        mountings[sensor] = {**position, "roll": roll, "pitch": pitch, "yaw": yaw}
     if options.lidar:
         mountings[LIDAR] = {"x": 0.0, "y": 0.0, "z": LIDAR_Z_M, "roll": 0.0, "pitch": 0.0, "yaw": 0.0}
     return {

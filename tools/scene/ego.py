@@ -1,5 +1,6 @@
 """The ego car's motion: position along its lane, lane changes, and pitching of the body."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -66,26 +67,12 @@ FREQUENCY_HZ: Final = (0.4, 2.5)
 """From the slow heave of the body to the fastest pitching of a stiff suspension."""
 
 
-@dataclass(frozen=True, eq=False)
-class Shake:
-    """Pitching of the body: a sum of sine waves with a given standard deviation over time."""
-
-    frequency_hz: Float
-    phase: Float
-    amplitude_rad: float
-
-    def at(self, time_s: float) -> float:
-        """Return the additional pitch in radians, positive with the nose down."""
-        return self.amplitude_rad * float(np.sin(2 * np.pi * self.frequency_hz * time_s + self.phase).sum())
-
-
-def shake_of(std_deg: float, seed: int) -> Shake | None:
-    """Return waves drawn from the seed, or None for a standard deviation of 0."""
-    if std_deg == 0:
-        return None
+def pitching(std_deg: float, seed: int) -> Callable[[float], float]:
+    """Return the additional pitch by time, radians, nose down: a sum of sine waves of a given standard deviation."""
     rng = np.random.default_rng((seed, 303))
-    frequency = rng.uniform(*FREQUENCY_HZ, WAVES)
-    return Shake(frequency, rng.uniform(0, 2 * np.pi, WAVES), float(np.radians(std_deg)) * float(np.sqrt(2 / WAVES)))
+    frequency_hz, phase = rng.uniform(*FREQUENCY_HZ, WAVES), rng.uniform(0, 2 * np.pi, WAVES)
+    amplitude = float(np.radians(std_deg)) * float(np.sqrt(2 / WAVES))
+    return lambda time_s: amplitude * float(np.sin(2 * np.pi * frequency_hz * time_s + phase).sum())
 
 
 WEAVE_S: Final = 6.0
@@ -113,7 +100,8 @@ class Ego:
     static: bool
     changes: tuple[LateralMove, ...] = ()
     motion: SpeedProfile | None = None
-    shake: Shake | None = None
+    pitching: Callable[[float], float] | None = None
+    """Additional pitch by time, radians."""
 
     def s(self, time_s: float) -> float:
         """Return s in metres along the road."""
@@ -167,6 +155,6 @@ class Ego:
         onwards = self.speed_mps * (1 - self.scene.path.curvature(s) * d)
         turn = float(np.arctan2(sideways, onwards))
         nod = NOD_RAD * np.sin(2 * np.pi * self._driven_s(time_s) / NOD_S)
-        if self.shake is not None:
-            nod += self.shake.at(self._driven_s(time_s))
+        if self.pitching is not None:
+            nod += self.pitching(self._driven_s(time_s))
         return self.scene.ground_pose(s, d, turn) @ rigid(rotation_from_rpy(0.0, nod, 0.0), np.zeros(3))

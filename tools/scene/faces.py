@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float, transform
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
-from .sheet import CAR_M, CAR_PROFILE, CAR_WIDTH_M, CROWN_M, DRAWINGS, FACADE_M, PLAIN_M, WHEELS, Patch, load_sheet
+from .atlas import CAR_M, CAR_PROFILE, CAR_WIDTH_M, CROWN_M, DRAWINGS, FACADE_M, PLAIN_M, WHEELS, Patch, load_atlas
 
 Vector = tuple[float, float, float]
 
@@ -142,14 +142,14 @@ FOUNDATION_M: Final = 2.5
 @cache
 def car(colour: int) -> Faces:
     """Return a car 4.3 m long: two cut side views and the faces between them."""
-    sheet, tint = load_sheet(), CAR_COLOURS[colour % len(CAR_COLOURS)]
+    atlas, tint = load_atlas(), CAR_COLOURS[colour % len(CAR_COLOURS)]
     length, height = CAR_M
     rear, half = -length / 2, CAR_WIDTH_M / 2
 
     def side(x: float, y: float, across: float, patch: Patch) -> Faces:
         return face((x, y, 0.0), (across, 0.0, 0.0), (0.0, 0.0, height), patch, tint, "car", cut=True)
 
-    u, du, v, dv = sheet.patch("car_side")
+    u, du, v, dv = atlas.patch("car_side")
     right, left = side(rear, -half, length, (u, du, v, dv)), side(-rear, half, -length, (u + du, -du, v, dv))
     return together([right, left, *_skin(rear, tint), *_tyres(rear, half)])
 
@@ -158,7 +158,7 @@ def _skin(rear: float, tint: Vector) -> list[Faces]:
     """Return the faces between the two sides of a car, without the floor."""
     corners = [(x + rear, z) for x, z in CAR_PROFILE]
     textures = {1: "car_nose", 4: "glass", 6: "glass", 8: "car_tail"}
-    patches = {i: load_sheet().patch(name) for i, name in textures.items()}
+    patches = {i: load_atlas().patch(name) for i, name in textures.items()}
     spans = list(enumerate(pairwise([*corners, corners[0]])))[1:]
     plain = plain_patch(1.8, 1.0)
     return [ribbon(*span, CAR_WIDTH_M, patches.get(i, plain), tint, "car") for i, span in spans]
@@ -199,7 +199,7 @@ def lamp_post(towards: int) -> Faces:
 @cache
 def tree() -> Faces:
     """Return a tree: a trunk, and a crown of three crossing cut faces."""
-    size, patch = CROWN_M, load_sheet().patch("crown")
+    size, patch = CROWN_M, load_atlas().patch("crown")
     trunk = box((0.0, 0.0, 1.2), (0.24, 0.24, 2.4), plain_patch(0.3, 2.4), BARK, "vegetation")
     cards = []
     for angle in np.radians((20.0, 80.0, 140.0)):
@@ -211,12 +211,12 @@ def tree() -> Faces:
 
 def building(style: int, length_m: float, depth_m: float, height_m: float, tint: Vector) -> Faces:
     """Return a house with the centre of its front at the origin, facing +y; the house extends towards -y."""
-    sheet, name = load_sheet(), FACADES[style % len(FACADES)]
+    atlas, name = load_atlas(), FACADES[style % len(FACADES)]
     height = height_m + FOUNDATION_M
     up, half = (0.0, 0.0, height), length_m / 2
 
     def wall(origin: tuple[float, float], across: tuple[float, float], width: float) -> Faces:
-        patch = sheet.patch(name, (width / FACADE_M[0], height / FACADE_M[1]))
+        patch = atlas.patch(name, (width / FACADE_M[0], height / FACADE_M[1]))
         return face((*origin, -FOUNDATION_M), (*across, 0.0), up, patch, tint, "building")
 
     back = -depth_m
@@ -228,4 +228,4 @@ def building(style: int, length_m: float, depth_m: float, height_m: float, tint:
 
 def plain_patch(width_m: float, height_m: float) -> Patch:
     """Return the section of the plain texture that a face of this size shows."""
-    return load_sheet().patch("plain", (width_m / PLAIN_M, height_m / PLAIN_M))
+    return load_atlas().patch("plain", (width_m / PLAIN_M, height_m / PLAIN_M))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32
 
-from .grain import pink_noise
+from .ground_texture import pink_noise
 from .lanes import CURB_HEIGHT_M, DASH_M, DASH_PERIOD_M, LINE_M, Colour, Marking, Markings, line_gap
 from .options import Stretch
 from .path import LocalPath, Real

@@ -21,7 +21,7 @@ from .rig import CameraPair, make_rig, scan
 from .scenario import Scenario
 from .scenes import make_scene
 from .truth import lanes_truth, surface_truth
-from .view import Moment, View
+from .view import Snapshot, View
 
 PURPOSES: Final = {name: number for number, name in enumerate(("detections", "tags", "depth", "rgb", "right", "drop"))}
 
@@ -79,23 +79,23 @@ class _Job:
     def add_frame(self, frame: int) -> None:
         """Write the files of a frame, except dropped ones, and record its truth."""
         options, rig, name = self.options, self.rig, f"{frame:06d}"
-        moment = self.scenario.at(frame / options.rate_hz)
-        world_T_camera = moment.world_T_ego @ rig.ego_T_left
-        left = View(moment, rig.camera, world_T_camera, options.bonnet)
-        objects = objects_truth(self.scenario, moment, rig, left, whole=options.whole_boxes)
+        snapshot = self.scenario.at(frame / options.rate_hz)
+        world_T_camera = snapshot.world_T_ego @ rig.ego_T_left
+        left = View(snapshot, rig.camera, world_T_camera, options.bonnet)
+        objects = objects_truth(self.scenario, snapshot, rig, left, whole=options.whole_boxes)
         entries = [truth.to_json(with_path=options.knows_path) for truth in objects]
-        self._write_pictures(frame, name, moment, left)
+        self._write_pictures(frame, name, snapshot, left)
         if options.instances:
-            ids = self._instances(moment, left)
+            ids = self._instances(snapshot, left)
             dump.write_picture(self._path(dump.INSTANCES, name), dump.tags_picture(left.tags, ids))
             for truth, entry in zip(objects, entries, strict=True):
                 entry["instance_id"] = self.ids[truth.name]
         rng = self._rng(frame, "detections")
-        self.detections[name] = noise.detect(moment, rig.camera, world_T_camera, objects, rng)
-        self.poses[name] = dump.carla_transform(moment.world_T_ego)
-        self.stamps.append(f"{name} {moment.time_s:.9f}\n")
-        self.truth["lanes"][name] = lanes_truth(moment, with_change=options.knows_path)
-        self.truth["surface"][name] = surface_truth(moment, rig)
+        self.detections[name] = noise.detect(snapshot, rig.camera, world_T_camera, objects, rng)
+        self.poses[name] = dump.carla_transform(snapshot.world_T_ego)
+        self.stamps.append(f"{name} {snapshot.time_s:.9f}\n")
+        self.truth["lanes"][name] = lanes_truth(snapshot, with_change=options.knows_path)
+        self.truth["surface"][name] = surface_truth(snapshot, rig)
         self.truth["objects"][name] = entries
 
     def write_records(self) -> None:
@@ -117,27 +117,27 @@ class _Job:
         jpeg = self.options.jpeg and sensor in ("rgb", "right")
         return self.folder / sensor / f"{name}{'.jpg' if jpeg else '.png'}"
 
-    def _instances(self, moment: Moment, view: View) -> NDArray[np.int32]:
+    def _instances(self, snapshot: Snapshot, view: View) -> NDArray[np.int32]:
         """Return (H, W) the object number of each pixel, the same in all frames; 0 for none."""
-        of_owner = np.zeros(len(moment.bodies) + 1, np.int32)
+        of_owner = np.zeros(len(snapshot.bodies) + 1, np.int32)
         for owner in np.unique(view.owner[view.owner > 0]):
-            of_owner[owner] = self.ids.setdefault(moment.bodies[owner - 1].name, len(self.ids) + 1)
+            of_owner[owner] = self.ids.setdefault(snapshot.bodies[owner - 1].name, len(self.ids) + 1)
         return of_owner[view.owner]
 
-    def _write_pictures(self, frame: int, name: str, moment: Moment, left: View) -> None:
+    def _write_pictures(self, frame: int, name: str, snapshot: Snapshot, left: View) -> None:
         options = self.options
         kept = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
         for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
             if keep and sensor not in options.without:
-                dump.write_picture(self._path(sensor, name), self._picture(frame, sensor, moment, left))
+                dump.write_picture(self._path(sensor, name), self._picture(frame, sensor, snapshot, left))
         if options.lidar and kept[-1]:
-            dump.write_points(self.folder / dump.LIDAR / f"{name}.ply", scan(moment))
+            dump.write_points(self.folder / dump.LIDAR / f"{name}.ply", scan(snapshot))
         if options.tag_noise or options.drop or "segmentation" in options.without:
             dump.write_picture(self._path("truth/segmentation", name), dump.tags_picture(left.tags))
         if options.depth_noise or options.drop or "depth" in options.without:
             dump.write_picture(self._path("truth/depth", name), dump.depth_picture(left.depth_m))
 
-    def _picture(self, frame: int, sensor: str, moment: Moment, left: View) -> NDArray[np.uint8]:
+    def _picture(self, frame: int, sensor: str, snapshot: Snapshot, left: View) -> NDArray[np.uint8]:
         """Return the picture of a sensor, with the noise of the options."""
         options, rig = self.options, self.rig
         if sensor == "depth":
@@ -148,8 +148,8 @@ class _Job:
             share, tags = options.tag_noise, left.tags
             return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
         right = sensor == "right"
-        beside = moment.world_T_ego @ rig.ego_T_right
-        rgb = View(moment, rig.camera, beside, options.bonnet).rgb if right else left.rgb
+        beside = snapshot.world_T_ego @ rig.ego_T_right
+        rgb = View(snapshot, rig.camera, beside, options.bonnet).rgb if right else left.rgb
         if options.exposure is not None:
-            rgb = noise.exposed(rgb, *noise.exposure_at(options.exposure, moment.time_s, frame, options.seed))
+            rgb = noise.exposed(rgb, *noise.exposure_at(options.exposure, snapshot.time_s, frame, options.seed))
         return noise.noisy_rgb(rgb, options.rgb_noise, self._rng(frame, sensor)) if options.rgb_noise else rgb

@@ -21,7 +21,7 @@ Colour = tuple[float, float, float]
 """Blue, green, red, 0 to 255."""
 
 ASPHALT: Final[Colour] = (157.0, 155.0, 154.0)
-STRIP: Final[Colour] = (149.0, 148.0, 147.0)
+PARKING: Final[Colour] = (149.0, 148.0, 147.0)
 PAVING: Final[Colour] = (112.0, 113.0, 114.0)
 GRASS: Final[Colour] = (58.0, 92.0, 74.0)
 YELLOW: Final[Colour] = (62.0, 184.0, 218.0)
@@ -42,7 +42,7 @@ DASHED_TO_M: Final = 85.0
 
 @dataclass(frozen=True)
 class Zone:
-    """The strip low_m <= d < high_m of one class; ``contrast`` is the relative amplitude of its grain."""
+    """The range low_m <= d < high_m of one class; ``contrast`` is the relative amplitude of its grain."""
 
     low_m: float
     high_m: float
@@ -124,7 +124,7 @@ def street(*, parking: bool, broken: bool, lines: bool = True) -> RoadSection:
     zones = [
         Zone(-REACH_M, REACH_M, "terrain", GRASS, 0.6),
         Zone(-curb - 3.5, curb + 3.5, "sidewalk", PAVING, 0.45),
-        Zone(-curb, curb, "road", STRIP, 0.2),
+        Zone(-curb, curb, "road", PARKING, 0.2),
         Zone(-lane, lane, "road", ASPHALT, 0.2),
     ]
     if lines:

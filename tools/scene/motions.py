@@ -8,9 +8,9 @@ import numpy as np
 
 from roadperc_stream.geometry import Float
 
+from .atlas import CAR_M
 from .options import RenderOptions
 from .roads import AFTER_S, TURN_BRAKING_MPS2, TURN_MPS, TURN_RADIUS_M
-from .sheet import CAR_M
 
 Phase = tuple[float, float]
 """Duration in seconds, and acceleration in m/s^2."""

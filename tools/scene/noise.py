@@ -13,7 +13,7 @@ from .faces import Body
 from .ground import FAR_M
 from .object_truth import ObjectTruth
 from .options import Exposure
-from .view import Moment
+from .view import Snapshot
 
 Tags = NDArray[np.uint8]
 
@@ -116,7 +116,7 @@ Detected = tuple[str, Box, float]
 
 
 def detect(
-    moment: Moment, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
+    snapshot: Snapshot, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
     """Return the detections of a frame as in ``detections.json``, the best first."""
     found: list[Detected] = [
@@ -125,7 +125,7 @@ def detect(
         if rng.random() >= MISSED
     ]
     visible = {truth.name for truth in seen}
-    hidden = [body for body in moment.bodies if body.name not in visible]
+    hidden = [body for body in snapshot.bodies if body.name not in visible]
     found += _occluded(hidden, camera, world_T_camera, rng)
     found += [false_detection(camera.width, camera.height, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
     return [

@@ -1,6 +1,6 @@
 """Ground truth of the visible objects: position, closing speed, and whether they are in the ego car's path.
 
-The path is a strip along the driving line of the lane with the car's reference point. Its width is the car's width
+The path runs along the driving line of the lane with the car's reference point. Its width is the car's width
 plus a margin on each side. Where there is no lane, the driving line of the first lane continues.
 """
 
@@ -13,24 +13,24 @@ from scipy import ndimage
 from roadperc_stream.geometry import Float, inverse, rays, transform
 
 from ..box_view import corners_between, image_box, seen_sides
+from .atlas import CAR_WIDTH_M
 from .faces import Body
 from .raster import NEAR_M
 from .rig import CameraPair
 from .scenario import Scenario
-from .sheet import CAR_WIDTH_M
-from .view import Moment, View
+from .view import Snapshot, View
 
 PATH_MARGIN_M: Final = 0.3
 
 
-def path_place(moment: Moment, body: Body) -> tuple[float, bool]:
+def path_place(snapshot: Snapshot, body: Body) -> tuple[float, bool]:
     """Return a body's lateral offset from the path's centre (left positive, metres), and if it is in the path."""
-    scene = moment.scene
-    corners = body_corners(body, moment.time_s)
-    road = scene.path.around(moment.s_m)
+    scene = snapshot.scene
+    corners = body_corners(body, snapshot.time_s)
+    road = scene.path.around(snapshot.s_m)
     x, y = (np.append(corners[:, i], corners[:, i].mean()) - road.origin_m[i] for i in (0, 1))
     s, d = road.coordinates(x, y)
-    lane = scene.road.lanes.at(moment.s_m, moment.d_m) or scene.road.lanes.start
+    lane = scene.road.lanes.at(snapshot.s_m, snapshot.d_m) or scene.road.lanes.start
     aside = d - [lane.way_m(float(at) + road.s_origin_m) for at in s]
     half = CAR_WIDTH_M / 2 + PATH_MARGIN_M
     return float(aside[-1]), bool(aside[:-1].min() < half and aside[:-1].max() > -half)
@@ -88,25 +88,27 @@ class ObjectTruth:
         return seen
 
 
-def objects_truth(scenario: Scenario, moment: Moment, rig: CameraPair, view: View, *, whole: bool) -> list[ObjectTruth]:
+def objects_truth(
+    scenario: Scenario, snapshot: Snapshot, rig: CameraPair, view: View, *, whole: bool
+) -> list[ObjectTruth]:
     """Return all objects with enough visible pixels, from the clean front view.
 
     The box is that of the visible pixels or, with ``whole``, that of the whole object, clipped to the image.
     """
-    boxes = ndimage.find_objects(view.owner, len(moment.bodies))
-    found = (_object(scenario, moment, rig, view, i + 1, box) for i, box in enumerate(boxes) if box is not None)
+    boxes = ndimage.find_objects(view.owner, len(snapshot.bodies))
+    found = (_object(scenario, snapshot, rig, view, i + 1, box) for i, box in enumerate(boxes) if box is not None)
     seen = [truth for truth in found if truth is not None]
     if not whole:
         return seen
-    camera_T_world = inverse(moment.world_T_ego @ rig.ego_T_left)
-    bodies = {body.name: body for body in moment.bodies}
-    corners = (transform(camera_T_world, body_corners(bodies[truth.name], moment.time_s)) for truth in seen)
+    camera_T_world = inverse(snapshot.world_T_ego @ rig.ego_T_left)
+    bodies = {body.name: body for body in snapshot.bodies}
+    corners = (transform(camera_T_world, body_corners(bodies[truth.name], snapshot.time_s)) for truth in seen)
     sides = (seen_sides(rig.camera, found, NEAR_M) for found in corners)
     return [replace(truth, box_px=image_box(rig.camera, parts)) for truth, parts in zip(seen, sides, strict=True)]
 
 
 def _object(
-    scenario: Scenario, moment: Moment, rig: CameraPair, view: View, number: int, box: tuple[slice, slice]
+    scenario: Scenario, snapshot: Snapshot, rig: CameraPair, view: View, number: int, box: tuple[slice, slice]
 ) -> ObjectTruth | None:
     rows, columns = np.nonzero(view.owner[box] == number)
     if len(rows) < MIN_PIXELS:
@@ -116,15 +118,15 @@ def _object(
     points = directions * view.depth_m[box][rows, columns, None].astype(np.float64)
     distances = np.linalg.norm(points, axis=1)
     nearest = int(distances.argmin())
-    body = moment.bodies[number - 1]
-    world_point = transform(moment.world_T_ego @ rig.ego_T_left, points[nearest])
-    body_point = transform(inverse(body.pose(moment.time_s)), world_point)
+    body = snapshot.bodies[number - 1]
+    world_point = transform(snapshot.world_T_ego @ rig.ego_T_left, points[nearest])
+    body_point = transform(inverse(body.pose(snapshot.time_s)), world_point)
 
     def distance(time_s: float) -> float:
         camera = scenario.ego.pose(time_s) @ rig.ego_T_left
         return float(np.linalg.norm(transform(body.pose(time_s), body_point) - camera[:3, 3]))
 
     step = DERIVATIVE_STEP_S
-    speed = (distance(moment.time_s - step) - distance(moment.time_s + step)) / (2 * step)
+    speed = (distance(snapshot.time_s - step) - distance(snapshot.time_s + step)) / (2 * step)
     seen_box = (x0, y0, box[1].stop, box[0].stop)
-    return ObjectTruth(body.name, body.label, seen_box, float(distances[nearest]), speed, *path_place(moment, body))
+    return ObjectTruth(body.name, body.label, seen_box, float(distances[nearest]), speed, *path_place(snapshot, body))

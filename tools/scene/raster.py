@@ -34,7 +34,7 @@ def draw_faces(
     """Draw all faces, given in the world frame.
 
     ``inverse_depth`` (H, W) holds the picture before, and changes in place. ``outline`` marks the visible texels of cut
-    faces (see ``Sheet``).
+    faces (see ``Atlas``).
     """
     seen = _facing(faces.moved(inverse(world_T_camera)))
     H = np.linalg.inv(np.stack((seen.across, seen.up, seen.origin), axis=-1)) @ np.linalg.inv(camera.K)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, Float, Float32, rays, rigid
 
 from .options import RenderOptions
-from .view import Moment, View
+from .view import Snapshot, View
 
 BASELINE_M: Final = 0.5
 
@@ -57,11 +57,11 @@ ATTENUATION_PER_M: Final = 0.004
 _FOCAL_PX: Final = 640.0
 
 
-def scan(moment: Moment) -> Float32:
+def scan(snapshot: Snapshot) -> Float32:
     """Return (N, 4) x forward, y right, z up in metres from the lidar, and intensity; left-handed as in CARLA."""
     camera, pixels = _rays()
-    world_T_camera = moment.world_T_ego @ rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, LIDAR_Z_M]))
-    depth_m = View(moment, camera, world_T_camera).depth_m[pixels[:, 1], pixels[:, 0]]
+    world_T_camera = snapshot.world_T_ego @ rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, LIDAR_Z_M]))
+    depth_m = View(snapshot, camera, world_T_camera).depth_m[pixels[:, 1], pixels[:, 0]]
     right, down, forward = (rays(camera, pixels.astype(float)) * depth_m[:, None]).T
     distance_m = np.sqrt(right**2 + down**2 + forward**2)
     points = np.stack((forward, right, -down, np.exp(-ATTENUATION_PER_M * distance_m)), axis=-1)

@@ -13,15 +13,15 @@ import numpy as np
 
 from roadperc_stream.geometry import Float
 
-from .ego import Ego, lane_changes, shake_of
+from .atlas import CAR_M, CAR_WIDTH_M
+from .ego import Ego, lane_changes, pitching
 from .faces import Body, Faces, building, car, lamp_post, together, tree
 from .motions import motions_of
 from .options import RenderOptions
 from .scenes import RenderedScene
-from .shade import Shadow
-from .sheet import CAR_M, CAR_WIDTH_M
+from .shading import Shadow
 from .traffic import Traffic
-from .view import Moment
+from .view import Snapshot
 
 HOUSE_SLOT_M: Final = 16.0
 POST_SLOT_M: Final = 34.0
@@ -53,10 +53,10 @@ class Fixtures:
         )
         return [
             fixture
-            for place, slot_m, behind_m, ahead_m in kinds
+            for in_slot, slot_m, behind_m, ahead_m in kinds
             for slot in range(floor((s_m + behind_m) / slot_m), ceil((s_m + ahead_m) / slot_m))
             for side in (1, -1)
-            if (fixture := place(slot, side)) is not None and self._is_free(fixture, place == self._house)
+            if (fixture := in_slot(slot, side)) is not None and self._is_free(fixture, in_slot == self._house)
         ]
 
     def _is_free(self, fixture: Body, is_house: bool) -> bool:
@@ -134,12 +134,12 @@ class Scenario:
         """Return the scenario of the options; the seed decides which bodies it contains."""
         changes = lane_changes(options, scene.road.lanes)
         motion, leader = motions_of(options)
-        shake = shake_of(options.pitch_std_deg, options.seed)
+        shake = pitching(options.pitch_std_deg, options.seed) if options.pitch_std_deg else None
         ego = Ego(scene, options.speed_mps, options.weave_m, options.static, changes, motion, shake)
         traffic = Traffic(ego, options.seed, leader, crossing_cars=options.crossing_cars)
         return cls(ego, Fixtures(scene, options.seed, options.parked_rows), traffic, options.mount[2])
 
-    def at(self, time_s: float) -> Moment:
+    def at(self, time_s: float) -> Snapshot:
         """Return the scene at a time since the start, in seconds."""
         scene, s = self.ego.scene, self.ego.s(time_s)
         fixtures = self.layout.near(s)
@@ -149,7 +149,7 @@ class Scenario:
         shadows = tuple(
             Shadow(body.pose(time_s), CAR_M[0] / 2, CAR_WIDTH_M / 2) for body in bodies if body.label == "Car"
         )
-        return Moment(
+        return Snapshot(
             time_s=time_s,
             scene=scene,
             s_m=s,

@@ -31,7 +31,7 @@ BUMP_EVERY_M: Final = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Ground whose height depends on world x only: planar strips between knots, level beyond the outer knots."""
+    """Ground whose height depends on world x only: planar between knots, level beyond the outer knots."""
 
     x_m: Float
     z_m: Float
@@ -71,17 +71,17 @@ class Terrain:
             with np.errstate(divide="ignore"):
                 return np.where(dz < 0, (self.z_m[0] + lift_m - centre_m[2]) / dz, np.inf)
         # A ray meets the ground before the first knot whose slope, seen from the centre, is above the ray's slope.
-        # Within a strip the slope is monotone, so knots are enough. The running maximum hides knots behind a crest.
+        # Within a segment the slope is monotone, so knots are enough. The running maximum hides knots behind a crest.
         first = int(np.searchsorted(self.x_m, centre_m[0] + 0.1))
         last = int(np.searchsorted(self.x_m, centre_m[0] + VIEW_M))
         x, z = self.x_m[first - 1 : last], self.z_m[first - 1 : last] + lift_m
         view = np.maximum.accumulate((z[1:] - centre_m[2]) / (x[1:] - centre_m[0]))
-        strip = np.searchsorted(view, dz / dx)
+        segment = np.searchsorted(view, dz / dx)
         slope = np.append(np.diff(z) / np.diff(x), 0.0)
         below = z + slope * (centre_m[0] - x) - centre_m[2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            hit = below[strip] / (dz - slope[strip] * dx)
-        return np.where(strip < len(view), hit, np.inf)
+            hit = below[segment] / (dz - slope[segment] * dx)
+        return np.where(segment < len(view), hit, np.inf)
 
 
 LEVEL_GROUND: Final = Terrain(np.zeros(1), np.zeros(1))
@@ -129,14 +129,14 @@ class RenderedScene:
         """Return the cross-section of the road."""
         return self.road.section
 
-    def place(self, s_m: float, d_m: float) -> tuple[float, float, float]:
+    def point(self, s_m: float, d_m: float) -> tuple[float, float, float]:
         """Return world x and y, and the road's heading, at (s, d)."""
         x, y = self.path.point(np.array([s_m]), d_m)
         return float(x[0]), float(y[0]), float(self.path.pose(np.array([s_m]))[2][0])
 
     def upright_pose(self, s_m: float, d_m: float, turn: float, step_m: float = 0.0) -> Float:
         """Return world_T_body of a body with a vertical axis at (s, d), ``step_m`` above the road."""
-        x, y, heading = self.place(s_m, d_m)
+        x, y, heading = self.point(s_m, d_m)
         height = float(self.terrain.height(np.array([x]))[0]) + step_m
         return rigid(rotation_from_rpy(0.0, 0.0, heading + turn), np.array([x, y, height]))
 
@@ -145,7 +145,7 @@ class RenderedScene:
 
         The x and y axes are in the plane of the wheels (one wheelbase apart); the origin is on the ground.
         """
-        x, y, heading = self.place(s_m, d_m)
+        x, y, heading = self.point(s_m, d_m)
         height, slope = self.terrain.below(x, WHEELBASE_M / 2)
         yaw = heading + turn
         forward = np.array([np.cos(yaw), np.sin(yaw), slope * np.cos(yaw)])

@@ -153,13 +153,13 @@ class Traffic:
         s, speed = self.ego.s(time_s), max(self.ego.speed_mps, 1.0)
         left = self.scene.section.curb_m + 1.0
         for k in range(int((s - 5) // CROSSING_SLOT_M), int((s + WALKER_RANGE_M) // CROSSING_SLOT_M) + 1):
-            place = (k + 0.4) * CROSSING_SLOT_M
-            right = -self.scene.road.aside(-1, place, left)
-            start = place / speed - 0.5 - right / RUN_MPS if not self.ego.static else 1.5 + 3 * k
+            runs_m = (k + 0.4) * CROSSING_SLOT_M
+            right = -self.scene.road.aside(-1, runs_m, left)
+            start = runs_m / speed - 0.5 - right / RUN_MPS if not self.ego.static else 1.5 + 3 * k
 
-            def pose(time_s: float, place: float = place, start: float = start, right: float = right) -> Float:
+            def pose(time_s: float, runs_m: float = runs_m, start: float = start, right: float = right) -> Float:
                 d = float(np.clip(RUN_MPS * (time_s - start) - right, -right, left))
-                return self._on_foot(place, d, np.pi / 2)
+                return self._on_foot(runs_m, d, np.pi / 2)
 
             moving = 0 < time_s - start < (left + right) / RUN_MPS
             yield self._person(f"crossing:{k}", 3 * k + 1, time_s if moving else 0.0, RUN_MPS, pose)

@@ -10,7 +10,7 @@ from roadperc_stream.geometry import Float, camera_pitch_roll, facing, fit_plane
 from .lanes import Edge
 from .rig import CameraPair
 from .scenes import RenderedScene, Terrain
-from .view import Moment
+from .view import Snapshot
 
 LINE_LENGTH_M: Final = 60
 GRID_X_M: Final = (0, 60)
@@ -23,26 +23,26 @@ FOUND_M: Final = 1e-4
 """Largest error of a point on an edge; with a larger error the edge does not exist there."""
 
 
-def lanes_truth(moment: Moment, *, with_change: bool) -> dict[str, Any]:
+def lanes_truth(snapshot: Snapshot, *, with_change: bool) -> dict[str, Any]:
     """Return the inner edges of the lane with the car's reference point, in the ego frame; None if absent.
 
     ``with_change`` adds lane changes.
     """
-    lane = moment.scene.road.lanes.at(moment.s_m, moment.d_m)
-    sides: dict[str, Any] = {side: lane and _boundary(moment, getattr(lane, side)) for side in ("left", "right")}
+    lane = snapshot.scene.road.lanes.at(snapshot.s_m, snapshot.d_m)
+    sides: dict[str, Any] = {side: lane and _boundary(snapshot, getattr(lane, side)) for side in ("left", "right")}
     if with_change:
-        sides |= {"lane_change": moment.lane_change.direction, "lane_changes": moment.lane_change.count}
+        sides |= {"lane_change": snapshot.lane_change.direction, "lane_changes": snapshot.lane_change.count}
     return sides
 
 
-def _boundary(moment: Moment, edge: Edge) -> dict[str, Any] | None:
+def _boundary(snapshot: Snapshot, edge: Edge) -> dict[str, Any] | None:
     step = DERIVATIVE_STEP_M
-    around, there = line_at(moment, edge, np.array([-step, 0.0, step]))
+    around, there = line_at(snapshot, edge, np.array([-step, 0.0, step]))
     if not there[1]:
         return None
     y = around[:, 1]
     slope, bend = (y[2] - y[0]) / (2 * step), (y[0] - 2 * y[1] + y[2]) / step**2
-    line, there = line_at(moment, edge, np.arange(LINE_LENGTH_M + 1.0))
+    line, there = line_at(snapshot, edge, np.arange(LINE_LENGTH_M + 1.0))
     # Keep the part that is connected to the car.
     line = line[: int(np.append(there, False).argmin())]
     return {
@@ -55,13 +55,13 @@ def _boundary(moment: Moment, edge: Edge) -> dict[str, Any] | None:
     }
 
 
-def line_at(moment: Moment, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[np.bool_]]:
+def line_at(snapshot: Snapshot, edge: Edge, x_ego_m: Float) -> tuple[Float, NDArray[np.bool_]]:
     """Return (N, 3) points of an edge in the ego frame at (N,) ego x, and (N,) True where the edge exists.
 
     Newton's method along s; within the first 60 m the angle to the ego x axis is at most 45 degrees.
     """
-    scene, ego_T_world = moment.scene, inverse(moment.world_T_ego)
-    s = moment.s_m + x_ego_m
+    scene, ego_T_world = snapshot.scene, inverse(snapshot.world_T_ego)
+    s = snapshot.s_m + x_ego_m
     points = _on_road(scene, s, edge, ego_T_world)
     for _ in range(20):
         ahead = _on_road(scene, s + 0.01, edge, ego_T_world)
@@ -79,7 +79,7 @@ def _on_road(scene: RenderedScene, s_m: Float, edge: Edge, ego_T_world: Float) -
     return transform(ego_T_world, np.stack((x, y, scene.terrain.height(x)), axis=-1))
 
 
-def surface_truth(moment: Moment, rig: CameraPair) -> dict[str, Any]:
+def surface_truth(snapshot: Snapshot, rig: CameraPair) -> dict[str, Any]:
     """Return the plane through the road ahead of the front camera, and the road's heights in the ego frame."""
     camera_x = float(rig.ego_T_left[0, 3])
     near, far = PLANE_AHEAD_M
@@ -87,8 +87,8 @@ def surface_truth(moment: Moment, rig: CameraPair) -> dict[str, Any]:
         np.arange(camera_x + near, camera_x + far + 1e-9, PLANE_STEP_M),
         np.arange(-PLANE_ASIDE_M, PLANE_ASIDE_M + 1e-9, PLANE_STEP_M),
     )
-    terrain = moment.scene.terrain
-    points = np.stack((x, y, height_in_ego(terrain, moment.world_T_ego, x, y)), axis=-1).reshape(-1, 3)
+    terrain = snapshot.scene.terrain
+    points = np.stack((x, y, height_in_ego(terrain, snapshot.world_T_ego, x, y)), axis=-1).reshape(-1, 3)
     ego_plane = facing(fit_plane(points), rig.ego_T_left[:3, 3])
     plane = transform_plane(inverse(rig.ego_T_left), ego_plane)
     pitch, roll = camera_pitch_roll(plane)
@@ -101,7 +101,7 @@ def surface_truth(moment: Moment, rig: CameraPair) -> dict[str, Any]:
         "a": round(nx / nz, 8),
         "b": round(ny / nz, 8),
         "d": round(-ego_plane.offset_m / nz, 7),
-        "height_grid": _height_grid(terrain, moment.world_T_ego),
+        "height_grid": _height_grid(terrain, snapshot.world_T_ego),
     }
 
 

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 
+from .atlas import load_atlas
 from .ego import LaneChangeState
 from .faces import Body, Faces
-from .grain import make_grain
 from .ground import FAR_M, Ground, Paint, paint_on, trace_ground
+from .ground_texture import make_ground_texture
 from .lanes import bins
 from .raster import Drawn, draw_faces
 from .scenes import RenderedScene
-from .shade import Shadow, cast_shadows, daylight, shade_faces, shade_ground, shade_sky
-from .sheet import load_sheet
+from .shading import Shadow, cast_shadows, daylight, face_colours, ground_colours, sky_colours
 
 ROAD, ROAD_LINE, SKY, CAR = (CARLA_FROM_0_9_14.names.index(name) for name in ("road", "road_line", "sky", "car"))
 BONNET_M: Final = 1.5
@@ -30,7 +30,7 @@ BONNET_DROP: Final = 0.06
 
 
 @dataclass(frozen=True)
-class Moment:
+class Snapshot:
     """The scene at one time; ``bodies[i]`` has object number i + 1 in the views."""
 
     time_s: float
@@ -53,7 +53,7 @@ class Moment:
 class View:
     """The scene from a camera's pose; each property is computed on first access."""
 
-    moment: Moment
+    snapshot: Snapshot
     camera: Camera
     world_T_camera: Float
     bonnet: float = 0.0
@@ -68,18 +68,18 @@ class View:
 
     @cached_property
     def _ground(self) -> Ground:
-        return trace_ground(self.camera, self.world_T_camera, self.moment.scene, self.moment.s_m)
+        return trace_ground(self.camera, self.world_T_camera, self.snapshot.scene, self.snapshot.s_m)
 
     @cached_property
     def _drawn(self) -> Drawn:
         nearness = np.full(self.camera.size, 1 / FAR_M, np.float32)
         nearness[self._ground.top_row :] = np.float32(1) / self._ground.depth_m
-        return draw_faces(self.camera, self.world_T_camera, self.moment.faces, nearness, load_sheet().outline)
+        return draw_faces(self.camera, self.world_T_camera, self.snapshot.faces, nearness, load_atlas().outline)
 
     @cached_property
     def _paint(self) -> Paint | None:
         """Return the lines outside the road's cross-section."""
-        markings = self.moment.scene.road.markings
+        markings = self.snapshot.scene.road.markings
         return paint_on(markings, self._ground, self.camera.fx) if markings else None
 
     @cached_property
@@ -103,7 +103,7 @@ class View:
     @cached_property
     def tags(self) -> NDArray[np.uint8]:
         """Return (H, W) CARLA's tags."""
-        ground, drawn, section = self._ground, self._drawn, self.moment.scene.section
+        ground, drawn, section = self._ground, self._drawn, self.snapshot.scene.section
         tags = np.full(self.camera.size, SKY, np.uint8)
         index = bins(ground.d_m)
         below = section.tag_table[index]
@@ -120,20 +120,20 @@ class View:
     @cached_property
     def rgb(self) -> NDArray[np.uint8]:
         """Return (H, W, 3) blue, green, red."""
-        moment, camera, ground, drawn = self.moment, self.camera, self._ground, self._drawn
-        grain = make_grain(camera.fx, moment.camera_height_m, moment.seed)
+        snapshot, camera, ground, drawn = self.snapshot, self.camera, self._ground, self._drawn
+        texture = make_ground_texture(camera.fx, snapshot.camera_height_m, snapshot.seed)
         R = self.world_T_camera[:3, :3]
         picture = np.empty((*camera.size, 3), np.uint8)
         on_ground = ground.depth_m < FAR_M
         sky_rows = int(np.flatnonzero(~on_ground.all(axis=1)).max(initial=-1)) + 1 + ground.top_row
-        picture[:sky_rows] = shade_sky(camera, R, sky_rows, moment.seed)
+        picture[:sky_rows] = sky_colours(camera, R, sky_rows, snapshot.seed)
         brightness = np.ones(on_ground.shape, np.float32)
-        cast_shadows(brightness, ground, moment.shadows, camera, self.world_T_camera)
-        below = shade_ground(ground, moment.scene.section, grain, brightness, self._paint)
+        cast_shadows(brightness, ground, snapshot.shadows, camera, self.world_T_camera)
+        below = ground_colours(ground, snapshot.scene.section, texture, brightness, self._paint)
         cv2.copyTo(below, on_ground.view(np.uint8), picture[ground.top_row :])
         pixels = np.flatnonzero(drawn.face >= 0)
         if len(pixels):
             light = daylight(drawn.faces.across @ R.T, drawn.faces.up @ R.T, drawn.faces.two_sided)
-            picture.reshape(-1, 3)[pixels] = shade_faces(drawn, load_sheet(), pixels, light)
+            picture.reshape(-1, 3)[pixels] = face_colours(drawn, load_atlas(), pixels, light)
         picture[self._bonnet] = BONNET_BGR
         return np.asarray(cv2.GaussianBlur(picture, (3, 3), 0.55), np.uint8)

@@ -5,12 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
-from roadperc_stream.tools.scene.ego import Ego, shake_of
+from roadperc_stream.tools.scene.atlas import CAR_M
+from roadperc_stream.tools.scene.ego import Ego, pitching
 from roadperc_stream.tools.scene.motions import SpeedProfile, hard_braking, queue
 from roadperc_stream.tools.scene.options import RenderOptions
 from roadperc_stream.tools.scene.scenario import Scenario
 from roadperc_stream.tools.scene.scenes import make_scene
-from roadperc_stream.tools.scene.sheet import CAR_M
 
 
 def ego_of(**settings):
@@ -82,15 +82,6 @@ def test_no_collision_at_any_speed(speed_mps):
         assert (np.diff(ego[:, 0]) >= -1e-9).all()
 
 
-def test_a_queue_stands_and_goes_again_and_again():
-    ego, _ = queue(5.0, 40.0)
-    speeds = np.array([ego.at(float(t))[1] for t in np.arange(0.0, 40.0, 0.05)])
-    stands = speeds < 1e-9
-    assert 0.1 < stands.mean() < 0.6
-    assert np.sum(np.diff(stands.astype(int)) == 1) >= 3
-    assert speeds.max() == pytest.approx(5.0)
-
-
 def test_positions_are_the_integral_of_the_speed():
     profile = SpeedProfile(2.0, 8.0, ((1.0, 0.0), (2.0, -3.0), (1.5, 2.0)))
     times = np.linspace(0.0, 8.0, 8001)
@@ -107,11 +98,10 @@ def test_a_standing_car_neither_weaves_nor_pitches():
 
 
 def test_pitching_has_the_given_deviation():
-    shake = shake_of(1.5, 4)
-    pitch = np.degrees([shake.at(float(t)) for t in np.arange(0.0, 300.0, 0.02)])
+    shake = pitching(1.5, 4)
+    pitch = np.degrees([shake(float(t)) for t in np.arange(0.0, 300.0, 0.02)])
     assert pitch.std() == pytest.approx(1.5, rel=0.05)
     assert pitch.mean() == pytest.approx(0.0, abs=0.05)
-    assert shake_of(0.0, 4) is None
 
 
 SCENE = make_scene(RenderOptions(scene="straight"), 300.0)
@@ -135,10 +125,3 @@ def test_it_weaves_with_a_limited_slope(speed_mps, weave_m, slope):
     sideways_m = [ego.pose(t)[1, 3] - MIDDLE_M for t in times_s]
     assert max(np.abs(sideways_m)) <= weave_m + 1e-9
     assert [ego.pose(t)[0, 3] for t in (0.0, 3.0)] == pytest.approx([0.0, 3.0 * speed_mps], abs=1e-6)
-
-
-def test_a_static_car_stands_in_the_centre_of_its_lane():
-    ego = Ego(SCENE, 8.0, 0.7, static=True)
-    for time_s in (0.0, 5.0):
-        np.testing.assert_allclose(ego.pose(time_s)[:3, 3], [0.0, MIDDLE_M, 0.0], atol=1e-9)
-        assert heading(ego, time_s) == 0.0

@@ -1,4 +1,4 @@
-"""The textures of bodies on one sheet, each prefiltered for several distances.
+"""The textures of bodies on one atlas, each prefiltered for several distances.
 
 The channels of a drawing are blue, green, red, and the share of a face's tint that a texel takes.
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float32
 
-from .grain import pink_noise
+from .ground_texture import pink_noise
 
 Patch = tuple[float, float, float, float]
 """u0, du, v0, dv: texture coordinates u0 + a du, v0 + b dv of a face's point origin + a across + b up, texels."""
@@ -51,7 +51,7 @@ class Drawing:
     outline: NDArray[np.bool_]
 
 
-def _grained(
+def _textured(
     colour: NDArray[np.float32],
     rng: np.random.Generator,
     share: float,
@@ -71,7 +71,7 @@ def _grained(
 
 def _plain(rng: np.random.Generator) -> Drawing:
     side = round(PLAIN_M * PLAIN_TEXELS_PER_M)
-    return _grained(np.full((side, side, 3), 200, np.float32), rng, 0.07, 255)
+    return _textured(np.full((side, side, 3), 200, np.float32), rng, 0.07, 255)
 
 
 def _facade(
@@ -87,7 +87,7 @@ def _facade(
         for left in np.arange(0, FACADE_M[0] - 0.5, bay_m):
             corner = (left + (bay_m - window[0]) / 2, top + (floor_m - window[1]) / 2)
             _window(picture, corner, window, scale, wall, rng)
-    return _grained(picture, rng, 0.11, 90)
+    return _textured(picture, rng, 0.11, 90)
 
 
 def _window(
@@ -140,7 +140,7 @@ def _car_side(rng: np.random.Generator) -> Drawing:
             cv2.circle(picture, centre, round(radius * CAR_TEXELS_PER_M), (colour,) * 3, -1)
         cv2.circle(paint, centre, round((WHEEL_RADIUS_M + 0.06) * CAR_TEXELS_PER_M), 0, -1)
         cv2.circle(outline, centre, round(WHEEL_RADIUS_M * CAR_TEXELS_PER_M) - 1, 1, -1)
-    return _grained(picture, rng, 0.06, paint, outline > 0)
+    return _textured(picture, rng, 0.06, paint, outline > 0)
 
 
 def _car_end(lamps: Colour, grille: Colour, rng: np.random.Generator) -> Drawing:
@@ -158,13 +158,13 @@ def _car_end(lamps: Colour, grille: Colour, rng: np.random.Generator) -> Drawing
     for low, high, colour in parts:
         cv2.rectangle(picture, low, high, colour, -1)
         cv2.rectangle(paint, low, high, 0, -1)
-    return _grained(picture, rng, 0.06, paint)
+    return _textured(picture, rng, 0.06, paint)
 
 
 def _glass(rng: np.random.Generator) -> Drawing:
     picture = np.full((50, 150, 3), (70, 62, 55), np.float32)
     picture[6:-6, 8:-8] *= 0.8
-    return _grained(picture, rng, 0.12, 0)
+    return _textured(picture, rng, 0.12, 0)
 
 
 def _crown(rng: np.random.Generator) -> Drawing:
@@ -175,7 +175,7 @@ def _crown(rng: np.random.Generator) -> Drawing:
     clumps = clumps / np.float32(clumps.std())
     outline = np.hypot(x, y) < 0.84 + 0.09 * clumps
     picture = np.full((side, side, 3), (52, 92, 66), np.float32) * (1 + 0.16 * clumps[..., None])
-    return _grained(picture, rng, 0.3, 120, outline)
+    return _textured(picture, rng, 0.3, 120, outline)
 
 
 DRAWINGS: Final[tuple[tuple[str, Callable[[np.random.Generator], Drawing]], ...]] = (
@@ -198,7 +198,7 @@ GUARD: Final = 2
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Atlas:
     """Drawings side by side; below each its copies, blurred by about 2^k texels across and 2^(k/2) down."""
 
     texels: NDArray[np.uint8]
@@ -226,8 +226,8 @@ class Sheet:
 
 
 @cache
-def load_sheet() -> Sheet:
-    """Return the sheet of all drawings, the same for every seed."""
+def load_atlas() -> Atlas:
+    """Return the atlas of all drawings, the same for every seed."""
     drawn: dict[str, Drawing] = {name: draw(np.random.default_rng((i, 7))) for i, (name, draw) in enumerate(DRAWINGS)}
     stride = max(d.texels.shape[0] for d in drawn.values()) + 2 * GUARD
     width = sum(d.texels.shape[1] + 2 * GUARD for d in drawn.values())
@@ -243,7 +243,7 @@ def load_sheet() -> Sheet:
         outline[GUARD : GUARD + height, left + GUARD : left + GUARD + own] = drawing.outline
         corners[name] = (left + GUARD, GUARD, own, height)
         left += own + 2 * GUARD
-    return Sheet(texels, outline, stride, corners)
+    return Atlas(texels, outline, stride, corners)
 
 
 def _blurred(texels: NDArray[np.uint8], level: int) -> NDArray[np.uint8]:

@@ -25,14 +25,14 @@ GUARD: Final = 1
 NEAREST_M: Final = 2.5
 DEPTH_RATIO: Final = 1.5
 LEVELS: Final = 12
-GRAIN_STD: Final = 40.0
+TEXTURE_STD: Final = 40.0
 """Standard deviation of the sharp grain in grey levels; callers scale the contrast."""
 FALL: Final = 0.75
 """Exponent by which the road's grain falls with frequency: like asphalt, a little more fine than coarse grain."""
 
 
 @dataclass(frozen=True)
-class Grain:
+class GroundTexture:
     """(2 * LEVELS * (ROWS + 2 GUARD), COLUMNS + 2 GUARD) grey about 128: asphalt, then paving; rows along the road."""
 
     texels: NDArray[np.uint8]
@@ -64,14 +64,14 @@ def level_depth_m(level: int) -> float:
 
 
 @lru_cache(maxsize=2)
-def make_grain(focal_px: float, height_m: float, seed: int) -> Grain:
+def make_ground_texture(focal_px: float, height_m: float, seed: int) -> GroundTexture:
     """Return the grain for cameras with a focal length at a height above the road."""
     rng = np.random.default_rng((seed, 11))
     banks = (pink_spectrum((ROWS, COLUMNS), rng, FALL), _paving(pink_spectrum((ROWS, COLUMNS), rng, FALL)))
     stds = [float(fft.irfft2(bank, (ROWS, COLUMNS)).std()) for bank in banks]
     both = zip(banks, stds, strict=True)
     blocks = [_level(bank, std, level, focal_px, height_m) for bank, std in both for level in range(LEVELS)]
-    return Grain(np.concatenate(blocks), focal_px)
+    return GroundTexture(np.concatenate(blocks), focal_px)
 
 
 def pink_noise(shape: tuple[int, int], rng: np.random.Generator) -> Float32:
@@ -108,7 +108,7 @@ def _level(
     # Without grain stereo finds nothing; real frames keep about half of it at long range.
     std = float(noise.std())
     strength = max(std / sharp_std, 0.45) / std
-    grey = np.clip(128 + (noise - noise.mean()) * strength * GRAIN_STD, 0, 255).astype(np.uint8)
+    grey = np.clip(128 + (noise - noise.mean()) * strength * TEXTURE_STD, 0, 255).astype(np.uint8)
     return np.pad(grey, GUARD, mode="wrap")
 
 

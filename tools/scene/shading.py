@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32, inverse, transform
 
-from .grain import GRAIN_STD, ROWS, TEXEL_M, Grain, depth_level, level_depth_m, pink_noise
-from .grain import LEVELS as GRAIN_LEVELS
+from .atlas import LEVELS as ATLAS_LEVELS
+from .atlas import Atlas
 from .ground import PAINT_CONTRAST, Ground, Paint
+from .ground_texture import LEVELS as TEXTURE_LEVELS
+from .ground_texture import ROWS, TEXEL_M, TEXTURE_STD, GroundTexture, depth_level, level_depth_m, pink_noise
 from .lanes import REACH_M, RoadSection, Zone
 from .raster import Drawn, pixel_boxes
-from .sheet import LEVELS as SHEET_LEVELS
-from .sheet import Sheet
 
 Picture = NDArray[np.uint8]
 
@@ -26,13 +26,13 @@ HAZE_M: Final = 900.0
 SUN: Final = np.array((0.35, 0.5, 0.79))
 """Unit vector towards the sun, world frame."""
 AMBIENT: Final = 0.55
-CURB_SHADE: Final = 0.55
+CURB_LIGHT: Final = 0.55
 PROFILE_TEXEL_M: Final = 0.01
 SHADOW_RIM_M: Final = 0.35
 SHADOW_DEPTH: Final = 0.62
 SHADOW_MARGIN_PX: Final = 3
-GRAIN_PERIOD_M: Final = TEXEL_M * ROWS
-GRAIN_SHARE: Final = 0.16
+TEXTURE_PERIOD_M: Final = TEXEL_M * ROWS
+TEXTURE_SHARE: Final = 0.16
 """Relative standard deviation of grain at contrast 1."""
 
 
@@ -61,7 +61,7 @@ def ground_profile(section: RoadSection, focal_px: float) -> Float32:
     rows = [
         _seen_from(_painted(zones), level_depth_m(level), focal_px)
         for zones in (section.zones, lineless)
-        for level in range(GRAIN_LEVELS)
+        for level in range(TEXTURE_LEVELS)
     ]
     return np.concatenate(rows)
 
@@ -80,34 +80,34 @@ def _seen_from(row: Float32, depth_m: float, focal_px: float) -> Float32:
     row = np.asarray(cv2.GaussianBlur(row, (2 * int(3 * sigma + 1) + 1, 1), sigmaX=sigma, sigmaY=0.1), np.float32)
     clear = float(np.exp(-depth_m / HAZE_M))
     row[..., :3] = HAZE + (row[..., :3] - HAZE) * clear
-    row[..., 3] *= GRAIN_SHARE * clear
+    row[..., 3] *= TEXTURE_SHARE * clear
     return row
 
 
-def shade_ground(
-    ground: Ground, section: RoadSection, grain: Grain, brightness: Float32, paint: Paint | None
+def ground_colours(
+    ground: Ground, section: RoadSection, texture: GroundTexture, brightness: Float32, paint: Paint | None
 ) -> Picture:
     """Return (rows, W, 3) colours of the ground at a brightness (rows, W); undefined where there is no ground."""
     level = depth_level(ground.depth_m)
     column = (ground.d_m + np.float32(REACH_M)) * np.float32(1 / PROFILE_TEXEL_M) - np.float32(0.5)
     row = level
     if section.broken:
-        row = np.where(ground.line_gap, np.rint(level) + np.float32(GRAIN_LEVELS), level)
+        row = np.where(ground.line_gap, np.rint(level) + np.float32(TEXTURE_LEVELS), level)
     base = cv2.remap(
-        ground_profile(section, grain.focal_px), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        ground_profile(section, texture.focal_px), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    s = ground.s_m + np.float32(ground.road.s_origin_m % GRAIN_PERIOD_M)
+    s = ground.s_m + np.float32(ground.road.s_origin_m % TEXTURE_PERIOD_M)
     if paint is not None:
         base = _with_paint(base, paint, ground.depth_m)
-    noise = grain.sample(s, ground.across_m, level, np.abs(ground.d_m) >= section.curb_m)
+    noise = texture.sample(s, ground.across_m, level, np.abs(ground.d_m) >= section.curb_m)
     *colours, contrast = cv2.split(base)
     gain = noise.astype(np.float32)
     gain -= 128
     gain *= contrast
-    gain *= np.float32(1 / GRAIN_STD)
+    gain *= np.float32(1 / TEXTURE_STD)
     gain += 1
     gain *= brightness
-    gain[ground.curb] *= np.float32(CURB_SHADE)
+    gain[ground.curb] *= np.float32(CURB_LIGHT)
     return np.asarray(cv2.convertScaleAbs(cv2.merge([colour * gain for colour in colours])), np.uint8)
 
 
@@ -116,7 +116,7 @@ def _with_paint(base: NDArray[Any], paint: Paint, depth_m: Float32) -> Float32:
     clear = np.exp(-depth_m / np.float32(HAZE_M))[..., None]
     for colour, cover in paint.layers:
         veiled = HAZE + (np.array(colour, np.float32) - HAZE) * clear
-        coat = np.concatenate((veiled, clear * np.float32(PAINT_CONTRAST * GRAIN_SHARE)), axis=-1)
+        coat = np.concatenate((veiled, clear * np.float32(PAINT_CONTRAST * TEXTURE_SHARE)), axis=-1)
         base = base + (coat - base) * cover[..., None]
     return np.asarray(base, np.float32)
 
@@ -147,7 +147,7 @@ def _cast_shadow(brightness: Float32, ground: Ground, shadow: Shadow, box: tuple
     brightness[box] *= 1 - np.float32(SHADOW_DEPTH) * np.clip(1 - outside / np.float32(2 * SHADOW_RIM_M), 0, 1)
 
 
-def shade_faces(drawn: Drawn, sheet: Sheet, pixels: NDArray[np.intp], light: Float) -> Picture:
+def face_colours(drawn: Drawn, atlas: Atlas, pixels: NDArray[np.intp], light: Float) -> Picture:
     """Return (N, 3) colours of pixels (flat indices) that show a face; ``light`` is the brightness of each face."""
     index = drawn.face.ravel()[pixels].astype(np.intp)
     rows, columns = np.divmod(pixels.astype(np.int32), np.int32(drawn.face.shape[1]))
@@ -157,7 +157,7 @@ def shade_faces(drawn: Drawn, sheet: Sheet, pixels: NDArray[np.intp], light: Flo
     ax, ay, a1, dx, dy, d1, fade, lit, haze = (constants[i].take(index) for i in (*range(8), 11))
     across, down = (ax * u + ay * v + a1) * depth, (dx * u + dy * v + d1) * depth
     _, exponent = np.frexp((ax - across * fade) * depth)
-    *colours, paintable = cv2.split(sheet.sample(across, down, np.clip(exponent, 0, SHEET_LEVELS - 1)))
+    *colours, paintable = cv2.split(atlas.sample(across, down, np.clip(exponent, 0, ATLAS_LEVELS - 1)))
     share = paintable.ravel() * np.float32(1 / 255)
     painted = [
         (constants[8 + i].take(index) * share + lit) * colour.ravel() + haze * HAZE[i]
@@ -199,7 +199,7 @@ def _clouds(seed: int) -> Picture:
     return np.asarray(blue + cover * (np.array((226.0, 214.0, 204.0)) - blue), np.uint8)
 
 
-def shade_sky(camera: Camera, world_R_camera: Float, rows: int, seed: int) -> Picture:
+def sky_colours(camera: Camera, world_R_camera: Float, rows: int, seed: int) -> Picture:
     """Return (rows, W, 3) the sky: clouds on a high plane that fade into haze at the horizon.
 
     The sky is smooth, so it is drawn at half the resolution.
