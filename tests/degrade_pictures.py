@@ -28,12 +28,12 @@ _SIZE: Final = (240, 180)
 _ACROSS: Final = 4
 _QUALITY: Final = 70
 _FARTHEST_M: Final = 60.0
-_SHEETS: Final = {
+_GRIDS: Final = {
     "images": ("", *list(LEVELS)[:11]),
     "sensors": list(LEVELS)[12:19],
     "messages": ("frame_drop", *list(LEVELS)[19:]),
 }
-"""Corruptions of each sheet; the empty name is the clean log."""
+"""Corruptions of each picture; the empty name is the clean log."""
 _TOPICS: Final = tuple(f"/camera/front/{name}" for name in ("image", "depth", "segmentation", "detections"))
 
 
@@ -51,7 +51,7 @@ def run(command: str, *arguments: str | Path) -> None:
 
 def picture(name: str, path: Path) -> Picture:
     """What a corruption changes, at the shown frame."""
-    if name in _SHEETS["messages"]:
+    if name in _GRIDS["messages"]:
         return _arrivals(path)
     if name == "calibration_turned":
         result = path.with_name("result.mcap")
@@ -98,7 +98,7 @@ def _arrivals(path: Path) -> Picture:
     return drawn
 
 
-def sheet(pictures: Sequence[tuple[str, Picture]]) -> Picture:
+def grid(pictures: Sequence[tuple[str, Picture]]) -> Picture:
     """Pictures with their names, four in a row."""
     panels = []
     for name, shown in pictures:
@@ -112,14 +112,14 @@ def sheet(pictures: Sequence[tuple[str, Picture]]) -> Picture:
 
 
 def main(source: Path, folder: Path) -> None:
-    """Write the sheets."""
-    for title, names in _SHEETS.items():
+    """Write the pictures."""
+    for title, names in _GRIDS.items():
         pictures = []
         for name in names:
             path = folder / f"{name or 'clean'}.mcap"
             run("roadperc-degrade", source, path, "--with", f"{name or 'fog'}={3 if name else 0}", "--seed", "1")
             pictures.append((f"{name} 3" if name else "clean", picture(name, path)))
-        (_DOCS / f"degraded_{title}.jpg").write_bytes(encode_jpeg(sheet(pictures), _QUALITY))
+        (_DOCS / f"degraded_{title}.jpg").write_bytes(encode_jpeg(grid(pictures), _QUALITY))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -74,8 +74,8 @@ class InferenceJob:
     @property
     def channels(self) -> dict[str, Channel]:
         """The new channels, by role."""
-        table = None if self.pair.segmentation is None else self.pair.segmentation[1].table
-        return {role: channel_of(role, table) for role in self.pair.sessions}
+        table = None if self.pair.segmentation is None else self.pair.segmentation.keys.table
+        return {role: channel_of(role, table) for role in self.pair.by_role}
 
 
 def infer(source: Path, out: Path, networks: Sequence[Path], cfg: ReplayConfig, options: InferOptions) -> None:
@@ -96,8 +96,8 @@ def infer(source: Path, out: Path, networks: Sequence[Path], cfg: ReplayConfig, 
         for text in warnings:
             print_line(f"warning: {text}", sys.stderr)
     if not options.quiet:
-        used = job.pair.sessions.items()
-        made = "; ".join(f"{role} by {network.keys.file} ({session.runtime})" for role, (network, session) in used)
+        used = job.pair.by_role.items()
+        made = "; ".join(f"{role} by {one.network.keys.file} ({one.session.runtime})" for role, one in used)
         rate = frames / (time.monotonic() - started)
         print_line(f"{number(frames, 'frame')}, {rate:.1f} frames per second, {made}: {out}")
 
@@ -132,7 +132,7 @@ def _job(summary: LogSummary, pair: Pair, options: InferOptions, cfg: ReplayConf
     image = next((role for role in _IMAGE_ROLES if role in roles.topics), None)
     if image is None:
         raise ChannelError(f"{summary.path}: no channel for role image; choose one with --topic image=/TOPIC")
-    there = {role: roles.topics[role] for role in pair.sessions if role in roles.topics}
+    there = {role: roles.topics[role] for role in pair.by_role if role in roles.topics}
     if there and not options.force:
         listed = ", ".join(f"{role} on {topic}" for role, topic in there.items())
         raise ChannelError(f"{summary.path}: has {listed}; pass --force to replace it")
@@ -155,7 +155,6 @@ def _write(job: InferenceJob, out: Path, options: InferOptions) -> tuple[int, li
     topic = job.roles.topics[job.image]
     expected = sum(summary.counts.get(c.source_id, 0) for c in summary.channels if c.topic == topic)
     threads = options.threads or usable_cores()
-    varying = _varying(job)  # before the loop: its memory is limited, so no other thread may run
     with LogWriter(out, summary.profile) as target, frame_progress("inferring", not options.quiet) as progress:
         copy = MessageCopy(target, kept, log.pieces(summary, kept, None, None))
         for channel in channels.values():
@@ -165,7 +164,7 @@ def _write(job: InferenceJob, out: Path, options: InferOptions) -> tuple[int, li
             for role, data in _encoded(job, item, result):
                 target.write(Message(channels[role], item.log_time_ns, item.log_time_ns, frames, data))
             if job.pair.segmentation is not None and result.tags is not None:
-                check.add(job.pair.segmentation[1].table, result.tags)
+                check.add(job.pair.segmentation.keys.table, result.tags)
             frames += 1
             progress(frames, expected)
         if not frames:
@@ -173,9 +172,9 @@ def _write(job: InferenceJob, out: Path, options: InferOptions) -> tuple[int, li
         copy.rest()
         _describe(job, target)
         require_free(out, force=options.force, suffix=".mcap")  # another program may have written it
-    name = "" if job.pair.segmentation is None else job.pair.segmentation[0].keys.file
+    name = "" if job.pair.segmentation is None else job.pair.segmentation.network.keys.file
     unreadable = [f"{number(count, 'image')} could not be read, skipped" for count in problems.counts.values()]
-    return frames, [*varying, *unreadable, *problems.first.values(), *check.warnings(name)]
+    return frames, [*unreadable, *problems.first.values(), *check.warnings(name)]
 
 
 def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tuple[Stamped, Inferred]]:
@@ -197,17 +196,7 @@ def _results(job: InferenceJob, problems: Problems, threads: int) -> Iterator[tu
             yield item, result
 
 
-def _varying(job: InferenceJob) -> list[str]:
-    """Run the networks twice on the first readable image, and return their warnings."""
-    for item in _images(job):
-        assert isinstance(item.payload, CameraImage)
-        with suppress(DecodeError):
-            (found,) = in_order(job.pair.varying, [item.payload.decode_bgr()], 1)
-            return found
-    return []
-
-
-def _images(job: InferenceJob, problems: Problems | None = None) -> Iterator[Stamped]:
+def _images(job: InferenceJob, problems: Problems) -> Iterator[Stamped]:
     topics = {job.image: job.roles.topics[job.image]}
     messages = log.read(job.summary, topics=topics.values())
     return decoded_messages(messages, replace(job.roles, topics=topics), problems=problems)
@@ -218,7 +207,7 @@ def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tup
     assert isinstance(item.payload, CameraImage)
     frame_id = item.payload.frame_id
     if result.tags is not None and job.pair.segmentation is not None:
-        png = encode_indices(result.tags, job.pair.segmentation[1].table.colours)
+        png = encode_indices(result.tags, job.pair.segmentation.keys.table.colours)
         yield "segmentation", encoding.encode_image(item.stamp_ns, frame_id, "png", png)
     if result.detections is not None:
         yield "detections", encoding.encode_detections(item.stamp_ns, frame_id, result.detections)
@@ -237,12 +226,12 @@ def _describe(job: InferenceJob, target: LogWriter) -> None:
             values = {**dict(metadata.values), **values}
         elif metadata.name != record.METADATA_RECORD:
             target.describe(metadata)
-    for role, (network, session) in job.pair.sessions.items():
+    for role, loaded in job.pair.by_role.items():
         values |= {
-            f"{role}.network": Path(network.keys.file).name,
-            f"{role}.sha256": network.sha256,
-            f"{role}.runtime": session.runtime,
-            f"{role}.settings": network.settings,
+            f"{role}.network": loaded.network.model_path.name,
+            f"{role}.sha256": loaded.network.sha256,
+            f"{role}.runtime": loaded.session.runtime,
+            f"{role}.settings": loaded.network.settings,
         }
     if job.pair.segmentation is not None:
         values["segmentation.camera_height_m"] = f"{job.camera_height_m:g}"

@@ -1,6 +1,5 @@
 """A picture of what a network sees and finds in one image, so that a wrong size or order of colours is visible."""
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,7 +12,7 @@ from roadperc_stream.formats.images import decode_bgr, encode_png
 from roadperc_stream.model import Image
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.text import print_line
-from roadperc_stream.system.threads import in_order, one_thread
+from roadperc_stream.system.threads import one_thread
 
 from .description import Network, SegmentationKeys, read_network
 from .frames import Inferred, load
@@ -40,12 +39,9 @@ def check(description: Path, image: Path, out: Path, *, force: bool) -> None:
     except OSError as error:
         raise ConfigError(f"{image}: {error.strerror or error}") from error
     with one_thread():
-        (warnings,) = in_order(load([network]).varying, [bgr], 1)
         rows = [_row(network, bgr, "as described"), _row(_with_other_colours(network), bgr, "for comparison")]
     width = max(row.shape[1] for row in rows)
     picture = np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
-    for text in warnings:
-        print_line(f"warning: {text}", sys.stderr)
     with completing(out, force=force) as partial:
         partial.write_bytes(encode_png(picture))
     print_line(f"left: the network's input; right: its results; below: with the other order of colours: {out}")

@@ -12,15 +12,12 @@ from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
-from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import nearest
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Side = Annotated[int, Field(ge=1, le=8192)]
 Numbers = tuple[float, float, float]
 _SHOWN: Final = 80
-_MOST_MODEL_BYTES: Final = 2**31
-"""A model in one file is smaller: it is a protobuf message."""
 
 
 class _Keys(BaseModel):
@@ -144,6 +141,11 @@ class Network:
     sha256: str
 
     @property
+    def model_path(self) -> Path:
+        """The ``.onnx`` file."""
+        return self.path.parent / self.keys.file
+
+    @property
     def role(self) -> Literal["segmentation", "detections"]:
         """The role of the channel that it computes."""
         return "segmentation" if isinstance(self.keys.output, SegmentationKeys) else "detections"
@@ -169,11 +171,12 @@ def read_network(path: Path) -> Network:
     except ValidationError as error:
         raise ConfigError(f"{path}: {_complaint(error)}") from error
     file = path.parent / keys.file
-    hint = f", named by {path}" + f"; download it from {keys.source}" * bool(keys.source)
     try:
-        model = read_file(file, _MOST_MODEL_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{file}: {error.strerror or error}{hint}") from error
+        model = file.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        hint = f"; download it from {keys.source}" if keys.source else ""
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{file}: {why}, named by {path}{hint}") from error
     digest = hashlib.sha256(model).hexdigest()
     if keys.sha256 not in ("", digest):
         raise ConfigError(

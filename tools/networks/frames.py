@@ -5,7 +5,7 @@ Raw results may be computed in parallel. The corrections follow frame by frame, 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
@@ -19,13 +19,10 @@ from .description import DetectionKeys, Network, SegmentationKeys
 from .pixels import as_seen, placement, require_orientation, tensor
 from .plausibility import ROAD
 from .semantic import HorizonEstimate, RoadMasks, corrected, full_size_scores, seen_mask
-from .session import Session, limited_memory, open_session, require_output
+from .session import Session, open_session, require_output
 
 MARKING: Final = "road_line"
-_MOST_NUMBERS: Final = 1 << 28
-"""In one output: more than 100 classes at 1920x1080 pixels."""
-_MOST_CHANNELS: Final = 256
-"""Each takes an image of scores."""
+Keys = TypeVar("Keys", SegmentationKeys, DetectionKeys)
 
 
 @dataclass(frozen=True)
@@ -50,16 +47,35 @@ class Inferred:
 
 
 @dataclass(frozen=True)
+class Loaded(Generic[Keys]):
+    """A network that can run, and the keys of its output."""
+
+    network: Network
+    keys: Keys
+    session: Session
+
+    def outputs(self, bgr: Image) -> list[Float32]:
+        """Return the outputs for an (H, W, 3) image.
+
+        Raises:
+            ConfigError: the model cannot run, or the image's orientation does not fit.
+        """
+        require_orientation(self.network, (bgr.shape[1], bgr.shape[0]))
+        keys = self.network.keys.input
+        return self.session.run(tensor(keys, as_seen(keys, bgr)))
+
+
+@dataclass(frozen=True)
 class Pair:
     """The loaded networks, at most one for each role."""
 
-    segmentation: tuple[Network, SegmentationKeys, Session] | None = None
-    detections: tuple[Network, DetectionKeys, Session] | None = None
+    segmentation: Loaded[SegmentationKeys] | None = None
+    detections: Loaded[DetectionKeys] | None = None
 
     @property
-    def sessions(self) -> dict[str, tuple[Network, Session]]:
-        """Network and session by role."""
-        return {part[0].role: (part[0], part[2]) for part in (self.segmentation, self.detections) if part is not None}
+    def by_role(self) -> dict[str, Loaded[SegmentationKeys] | Loaded[DetectionKeys]]:
+        """The networks by role."""
+        return {loaded.network.role: loaded for loaded in (self.segmentation, self.detections) if loaded is not None}
 
     def raw(self, bgr: Image) -> RawResult:
         """Return the networks' results for an (H, W, 3) image; several threads may call it.
@@ -67,46 +83,22 @@ class Pair:
         Raises:
             ConfigError: an output's shape or the image's orientation does not fit the TOML file.
         """
-        size = bgr.shape[1], bgr.shape[0]
-        return RawResult(
-            size,
-            None if self.segmentation is None else class_masks(*self.segmentation, bgr),
-            None if self.detections is None else object_boxes(*self.detections, bgr),
-        )
-
-    def varying(self, bgr: Image) -> list[str]:
-        """Run each network twice on an (H, W, 3) image, and return a warning for each whose outputs differ.
-
-        No other thread may run, because the memory is limited meanwhile.
-
-        Raises:
-            ConfigError: as ``raw``.
-        """
-        warnings = []
-        for network, session in self.sessions.values():
-            with limited_memory():
-                pairs = zip(*(_outputs(network, session, bgr) for _ in range(2)), strict=True)
-                same = [np.array_equal(one, other, equal_nan=True) for one, other in pairs]
-            if differing := [name for name, is_same in zip(session.outputs, same, strict=True) if not is_same]:
-                warnings.append(
-                    f"{network.keys.file}: output {', '.join(differing)} differs between two runs on the first image: "
-                    "the model uses random numbers; export it for inference, or every run writes another log"
-                )
-        return warnings
+        masks = None if self.segmentation is None else class_masks(self.segmentation, bgr)
+        boxes = None if self.detections is None else object_boxes(self.detections, bgr)
+        return RawResult((bgr.shape[1], bgr.shape[0]), masks, boxes)
 
     def results(
         self, raw: RawResult, horizon: HorizonEstimate, camera_height_m: float
     ) -> tuple[HorizonEstimate, Inferred]:
         """Return the horizon after this frame, and its tags and detections."""
-        detections = boxes = None
+        detections, corners = None, np.zeros((0, 4))
         if raw.boxes is not None and self.detections is not None:
-            boxes = of_boxes.possible(self.detections[1], raw.boxes, raw.size)
-            detections = of_boxes.detections(self.detections[1], boxes)
+            boxes = of_boxes.possible(self.detections.keys, raw.boxes, raw.size)
+            detections, corners = of_boxes.detections(self.detections.keys, boxes), boxes.corners
         if raw.masks is None or self.segmentation is None:
             return horizon, Inferred(None, detections)
-        keys, none = self.segmentation[1], np.zeros(raw.size[::-1], bool)
+        keys, none = self.segmentation.keys, np.zeros(raw.size[::-1], bool)
         masks = RoadMasks(raw.masks.get(ROAD, none), raw.masks.get(MARKING, none))
-        corners = np.zeros((0, 4)) if boxes is None else boxes.corners
         horizon, masks = corrected(keys, camera_height_m, horizon, masks, corners)
         return horizon, Inferred(_tags(keys, raw.masks, masks), detections)
 
@@ -119,78 +111,69 @@ def load(networks: Sequence[Network]) -> Pair:
     """
     pair = Pair()
     for network in networks:
-        keys, loaded = network.keys.output, pair.sessions
-        if network.role in loaded:
-            other = loaded[network.role][0].path
-            raise ConfigError(f"{other} and {network.path} both compute {network.role}; pass one of them")
+        keys, other = network.keys.output, pair.by_role.get(network.role)
+        if other is not None:
+            paths = f"{other.network.path} and {network.path}"
+            raise ConfigError(f"{paths} both compute {network.role}; pass one of them")
         if isinstance(keys, SegmentationKeys):
-            pair = replace(pair, segmentation=(network, keys, open_session(network)))
+            pair = replace(pair, segmentation=Loaded(network, keys, open_session(network)))
         else:
-            pair = replace(pair, detections=(network, keys, open_session(network)))
+            pair = replace(pair, detections=Loaded(network, keys, open_session(network)))
     return pair
 
 
-def class_masks(network: Network, keys: SegmentationKeys, session: Session, bgr: Image) -> dict[str, Mask]:
+def class_masks(loaded: Loaded[SegmentationKeys], bgr: Image) -> dict[str, Mask]:
     """Return the (H, W) pixels of each class.
 
     Raises:
         ConfigError: as ``Pair.raw``.
     """
-    place, size = placement(network.keys.input, (bgr.shape[1], bgr.shape[0])), network.keys.input.size
-    channels = [_channels(network, keys, output) for output in _outputs(network, session, bgr)]
-    scores = [full_size_scores(place.cut(each, size), bgr.shape[:2]) for each in channels]
+    keys, of_input = loaded.keys, loaded.network.keys.input
+    place = placement(of_input, (bgr.shape[1], bgr.shape[0]))
+    channels = [_channels(loaded, output) for output in loaded.outputs(bgr)]
+    scores = [full_size_scores(place.cut(each, of_input.size), bgr.shape[:2]) for each in channels]
     if keys.decoder == "heads":
         heads = zip(keys.classes.values(), scores, strict=True)
         return {name: head[-1] > (head[0] if len(head) == 2 else 0) for name, head in heads}
     best = scores[0].argmax(axis=0)
-    found: dict[str, Mask] = {}
+    masks: dict[str, Mask] = {}
     for channel, name in keys.classes.items():
-        found[name] = found.get(name, np.zeros(best.shape, bool)) | (best == int(channel))
-    return found
+        masks[name] = masks.get(name, np.zeros(best.shape, bool)) | (best == int(channel))
+    return masks
 
 
-def _channels(network: Network, keys: SegmentationKeys, output: Float32) -> Float32:
+def _channels(loaded: Loaded[SegmentationKeys], output: Float32) -> Float32:
     """(C, h, w) scores of an output; a head has those of other and class, or the class's logits."""
+    keys = loaded.keys
     scores = output[0] if output.ndim == 4 and len(output) == 1 else np.zeros((0, 0, 0), np.float32)
-    scores = scores if network.keys.input.layout == "NCHW" else scores.transpose(2, 0, 1)
+    scores = scores if loaded.network.keys.input.layout == "NCHW" else scores.transpose(2, 0, 1)
     if keys.decoder == "heads":
         fits, expected = len(scores) in (1, 2), "[1, 1 or 2, rows, columns]"
     else:
         least = max(2, *(1 + int(channel) for channel in keys.classes))
-        most = "" if len(scores) <= _MOST_CHANNELS else f" up to {_MOST_CHANNELS}"
-        fits, expected = len(scores) >= least and not most, f"[1, {least} or more{most}, rows, columns]"
-    require_output(network, "of scores", output.shape, expected, fits=fits and scores.size > 0)
+        fits, expected = len(scores) >= least, f"[1, {least} or more, rows, columns]"
+    require_output(loaded.network, "of scores", output.shape, expected, fits=fits and scores.size > 0)
     return scores
 
 
-def object_boxes(network: Network, keys: DetectionKeys, session: Session, bgr: Image) -> Boxes:
+def object_boxes(loaded: Loaded[DetectionKeys], bgr: Image) -> Boxes:
     """Return the boxes of an image in its pixels, without duplicates.
 
     Raises:
         ConfigError: as ``Pair.raw``.
     """
 
-    def boxes_in(part: Image) -> Boxes:
-        found = of_boxes.decoded(network, keys, _outputs(network, session, part))
-        place = placement(network.keys.input, (part.shape[1], part.shape[0]))
-        return replace(found, corners=place.in_image(found.corners))
+    def boxes_in(image: Image) -> Boxes:
+        boxes = of_boxes.decoded(loaded.network, loaded.keys, loaded.outputs(image))
+        place = placement(loaded.network.keys.input, (image.shape[1], image.shape[0]))
+        return replace(boxes, corners=place.in_image(boxes.corners))
 
-    found = boxes_in(bgr)
-    if keys.tiles == "centre":
+    boxes = boxes_in(bgr)
+    if loaded.keys.tiles == "centre":
         x, y = bgr.shape[1] // 4, bgr.shape[0] // 4
         tile = bgr[y : y + bgr.shape[0] // 2, x : x + bgr.shape[1] // 2]
-        found = found.with_others(of_boxes.of_tile(boxes_in(tile), (x, y), (tile.shape[1], tile.shape[0])))
-    return of_boxes.without_duplicates(keys, found)
-
-
-def _outputs(network: Network, session: Session, bgr: Image) -> list[Float32]:
-    require_orientation(network, (bgr.shape[1], bgr.shape[0]))
-    found = session.run(tensor(network.keys.input, as_seen(network.keys.input, bgr)))
-    for name, output in zip(session.outputs, found, strict=True):
-        require_output(
-            network, name, output.shape, f"{_MOST_NUMBERS} numbers at most", fits=output.size <= _MOST_NUMBERS
-        )
-    return found
+        boxes = boxes.with_others(of_boxes.of_tile(boxes_in(tile), (x, y), (tile.shape[1], tile.shape[0])))
+    return of_boxes.without_duplicates(loaded.keys, boxes)
 
 
 def _tags(keys: SegmentationKeys, by_class: Mapping[str, Mask], road: RoadMasks) -> Image:

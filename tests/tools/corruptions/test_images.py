@@ -103,12 +103,6 @@ def test_low_light_is_dark_and_noisy():
     assert found[0] < 0.01
 
 
-def test_jpeg_becomes_worse():
-    noisy = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
-    errors = [np.abs(corrupted(noisy, "jpeg_compression", s).astype(int) - noisy).mean() for s in range(1, 6)]
-    assert errors == sorted(errors)
-
-
 def test_a_crash_covers_its_share_of_the_log_once():
     shares = np.linspace(0, 1, 201)
     black = np.array([not corrupted(GREY, "camera_crash", 3, share=share).any() for share in shares])

@@ -5,7 +5,7 @@ import pytest
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.tools.networks import boxes
-from roadperc_stream.tools.networks.frames import Pair, class_masks
+from roadperc_stream.tools.networks.frames import Loaded, Pair, class_masks
 from roadperc_stream.tools.networks.semantic import HorizonEstimate
 from tests.tools.networks.test_boxes import TEXT, described
 
@@ -35,31 +35,32 @@ def test_channels_of_one_class_are_one_class_and_others_have_none(tmp_path):
     for channel in range(5):
         scores[0, channel, :, 3 * channel : 3 * channel + 3] = 1
     session, keys = Fixed(scores), network.keys.output
-    masks = class_masks(network, keys, session, IMAGE)
+    masks = class_masks(Loaded(network, keys, session), IMAGE)
     assert {name: np.flatnonzero(mask.all(axis=0)).tolist() for name, mask in masks.items()} == {
         "road": [3, 4, 5, 6, 7, 8],
         "car": [9, 10, 11],
     }
-    pair = Pair((network, keys, session))
+    pair = Pair(Loaded(network, keys, session))
     _, found = pair.results(pair.raw(IMAGE), HorizonEstimate(), 1.5)
     assert found.detections is None
     assert [keys.table.name_of(tag) for tag in found.tags[4]] == ["unlabeled"] * 3 + ["road"] * 6 + ["car"] * 3 + [
         "unlabeled"
     ] * 4
     with pytest.raises(ConfigError, match=r"is \[1, 3, 8, 16\].*\[1, 4 or more, rows, columns\]"):
-        class_masks(network, keys, Fixed(scores[:, :3]), IMAGE)
+        class_masks(Loaded(network, keys, Fixed(scores[:, :3])), IMAGE)
 
 
 def test_a_head_has_two_channels_or_one(tmp_path):
     network = segmenting(tmp_path / "a", 'decoder = "heads", classes = { a = "road", b = "road_line" }')
     two, one = np.zeros((1, 2, 8, 16), np.float32), np.full((1, 1, 8, 16), -1, np.float32)
     two[0, 1, 4:], one[0, 0, :, 8:] = 1, 1
-    masks = class_masks(network, network.keys.output, Fixed(two, one), IMAGE)
+    masks = class_masks(Loaded(network, network.keys.output, Fixed(two, one)), IMAGE)
     assert masks["road"][5:].all()
     assert not masks["road"][:4].any()
     assert np.flatnonzero(masks["road_line"].all(axis=0)).tolist() == list(range(8, 16))
+    wrong = Fixed(two, np.zeros((1, 3, 8, 16), np.float32))
     with pytest.raises(ConfigError, match="1 or 2, rows"):
-        class_masks(network, network.keys.output, Fixed(two, np.zeros((1, 3, 8, 16), np.float32)), IMAGE)
+        class_masks(Loaded(network, network.keys.output, wrong), IMAGE)
 
 
 def test_an_unknown_class_of_a_segmentation_is_an_error(tmp_path):
