@@ -4,6 +4,7 @@ import gc
 import os
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from functools import partial
@@ -117,10 +118,13 @@ def _launch(command: str) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     error_code = EXIT_UNDECIDED if command in _JUDGING else EXIT_ERROR
     try:
-        return run(partial(_imported, command), error_code)
+        code = run(partial(_imported, command), error_code)
     except Exception:
         sys.excepthook(*sys.exc_info())
-        return error_code
+        code = error_code
+    if code and any(not thread.daemon for thread in threading.enumerate()[1:]):
+        os._exit(code)  # the interpreter would wait for a thread of a library that may never end
+    return code
 
 
 def _imported(command: str) -> int:

@@ -12,7 +12,7 @@ from roadperc_stream.formats.images import decode_bgr, encode_png
 from roadperc_stream.model import Image
 from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.text import print_line
-from roadperc_stream.system.threads import one_thread
+from roadperc_stream.system.threads import in_order, one_thread
 
 from .description import Network, SegmentationKeys, read_network
 from .frames import Inferred, load
@@ -38,8 +38,9 @@ def check(description: Path, image: Path, out: Path, *, force: bool) -> None:
         bgr = decode_bgr(image.read_bytes())
     except OSError as error:
         raise ConfigError(f"{image}: {error.strerror or error}") from error
-    with one_thread():
-        rows = [_row(network, bgr, "as described"), _row(_with_other_colours(network), bgr, "for comparison")]
+    seen = ((network, "as described"), (_with_other_colours(network), "for comparison"))
+    with one_thread():  # in another thread, so that Ctrl-C ends an endless network
+        rows = list(in_order(lambda each: _row(*each, bgr), seen, 1))
     width = max(row.shape[1] for row in rows)
     picture = np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
     with completing(out, force=force) as partial:
@@ -53,7 +54,7 @@ def _with_other_colours(network: Network) -> Network:
     return replace(network, keys=keys)
 
 
-def _row(network: Network, bgr: Image, heading: str) -> Image:
+def _row(network: Network, heading: str, bgr: Image) -> Image:
     """(H, W, 3) input and results side by side, below a line of text."""
     pair, keys = load([network]), network.keys.input
     _, found = pair.results(pair.raw(bgr), HorizonEstimate(), _HEIGHT_M)

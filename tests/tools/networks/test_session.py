@@ -1,7 +1,10 @@
 """ONNX files that cannot be used give one error with their name."""
 
+import signal
+import subprocess
 import sys
 
+import cv2
 import numpy as np
 import pytest
 
@@ -44,3 +47,27 @@ def test_both_libraries_run_a_model_and_name_one_that_they_cannot_load(tmp_path,
 def test_shapes_and_names_are_compared_with_the_description(tmp_path, changes, words):
     with pytest.raises(ConfigError, match=words):
         open_session(network(tmp_path, **changes))
+
+
+ENDLESS = """
+import sys, time
+from roadperc_stream.cli.launch import infer
+from roadperc_stream.tools.networks import session
+session._OnnxSession.run = lambda *_: print("runs", flush=True) or time.sleep(600)
+sys.exit(infer())
+"""
+
+
+def test_an_endless_model_can_be_interrupted(tmp_path):
+    path = network(tmp_path).path
+    cv2.imwrite(str(tmp_path / "image.png"), np.zeros((8, 16, 3), np.uint8))
+    words = ["--check", str(path), str(tmp_path / "image.png"), str(tmp_path / "seen.png")]
+    with subprocess.Popen([sys.executable, "-c", ENDLESS, *words], stdout=-1, stderr=-1) as process:
+        assert process.stdout.readline() == b"runs\n"
+        process.send_signal(signal.SIGINT)
+        try:
+            _, error = process.communicate(timeout=20)
+        finally:
+            process.kill()
+    assert (process.returncode, error) == (1, b"error: interrupted\n")
+    assert not list(tmp_path.glob("*seen*"))
