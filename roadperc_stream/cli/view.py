@@ -16,7 +16,10 @@ from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import is_bag_folder
 
 if TYPE_CHECKING:
-    from roadperc_stream.view.modes import ViewOptions
+    from collections.abc import Sequence
+
+    from roadperc_stream.log import AnyLog
+    from roadperc_stream.view.frame_times import Stop
 
 _EXAMPLE = """\
 example:
@@ -44,31 +47,31 @@ def main(argv: list[str] | None = None) -> int:
     return run(lambda: _view_runs(arguments) if _needs_lookup(arguments) else _view_log(arguments))
 
 
-def _options(arguments: argparse.Namespace) -> "ViewOptions":
-    from roadperc_stream.view.modes import ViewOptions
-
-    return ViewOptions(
-        parse_topic_options(arguments.topic),
-        arguments.save,
-        arguments.video,
-        arguments.foxglove_layout,
-        arguments.foxglove,
-        replace(serving_options(arguments), start_s=arguments.start or 0.0),
-        arguments.force,
-        arguments.quiet,
-    )
-
-
 def _view_log(arguments: argparse.Namespace) -> None:
-    """Show a log, or a layout without one."""
+    """Show a log, or write a layout without one."""
     from roadperc_stream.view.frame_times import find_stop
-    from roadperc_stream.view.modes import readable, view
+    from roadperc_stream.view.modes import readable
 
-    path, quiet = arguments.log, arguments.quiet
-    logs = [readable(Path(path), recover=arguments.recover, quiet=quiet)] if path else []
-    view(
-        logs, find_stop(logs[0], arguments.frame) if logs and arguments.frame is not None else None, _options(arguments)
-    )
+    path, frame = arguments.log, arguments.frame
+    logs = [readable(Path(path), recover=arguments.recover, quiet=arguments.quiet)] if path else []
+    _show(logs, find_stop(logs[0], frame) if logs and frame is not None else None, arguments)
+
+
+def _show(logs: "Sequence[AnyLog]", stop: "Stop | None", arguments: argparse.Namespace) -> None:
+    """Show one or two runs from a frame on in Rerun or Foxglove, or write a layout, a recording or a video."""
+    from roadperc_stream.view import modes
+
+    topics = parse_topic_options(arguments.topic)
+    layout, live, force, quiet = arguments.foxglove_layout, arguments.foxglove, arguments.force, arguments.quiet
+    if layout:
+        modes.lay_out(logs[0] if logs else None, layout, topics, live=live, force=force, quiet=quiet)
+    if live:
+        playback = replace(serving_options(arguments), start_s=arguments.start or 0.0)
+        modes.serve(logs[0], stop, playback, quiet=quiet)
+    elif arguments.video:
+        modes.record_video(logs[0], arguments.video, force=force, quiet=quiet)
+    elif not layout:
+        modes.show_in_rerun(logs, stop, arguments.save, topics, force=force, quiet=quiet)
 
 
 def _view_runs(arguments: argparse.Namespace) -> None:
@@ -77,7 +80,7 @@ def _view_runs(arguments: argparse.Namespace) -> None:
     from roadperc_stream.eval.replaying import shown
     from roadperc_stream.output.terminal import frame_progress
     from roadperc_stream.view.frame_times import find_stop
-    from roadperc_stream.view.modes import print_remarks, view
+    from roadperc_stream.view.modes import print_remarks
 
     names, configs = [arguments.log, *([arguments.new] if arguments.new else [])], arguments.config
     of_each = [[config] for config in configs] if len(names) == len(configs) == 2 else [configs] * len(names)
@@ -93,7 +96,7 @@ def _view_runs(arguments: argparse.Namespace) -> None:
             print_remarks((note for item in found for note in item.notes), {})
         logs, number_in_log = [item.log for item in found], found[0].number
         stop = None if number_in_log is None else replace(find_stop(logs[0], number_in_log), frame=frame)
-        view(logs, stop, _options(arguments))
+        _show(logs, stop, arguments)
 
 
 def _needs_lookup(arguments: argparse.Namespace) -> bool:

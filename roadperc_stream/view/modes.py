@@ -1,7 +1,7 @@
 """Runs the modes of roadperc-view: Rerun, Foxglove, layout and video."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 
@@ -19,42 +19,6 @@ from roadperc_stream.view.live.serving import log_with_times, serve_log
 from roadperc_stream.view.video import write_video
 
 
-@dataclass(frozen=True)
-class ViewOptions:
-    """Where a log is shown: in the Rerun viewer unless one of the outputs is set; ``topics`` by role as in a replay."""
-
-    topics: Mapping[str, str] = field(default_factory=dict)
-    save: Path | None = None
-    video: Path | None = None
-    layout: Path | None = None
-    foxglove: bool = False
-    playback: PlaybackOptions = field(default_factory=PlaybackOptions)
-    force: bool = False
-    quiet: bool = False
-
-
-def view(logs: Sequence[log.AnyLog], stop: Stop | None, options: ViewOptions) -> None:
-    """Show one or two logs from a frame on, or write a layout, a recording or a video; no log gives a general layout.
-
-    Raises:
-        RoadpercError: a log cannot be shown, or a file cannot be written.
-    """
-    if options.layout:
-        _lay_out(logs[0] if logs else None, options.layout, options)
-    if options.foxglove:
-        playback = options.playback
-        if stop is not None:
-            first_ns = log.summarise(logs[0]).first_ns or 0
-            playback = replace(playback, start_s=ns_to_seconds(stop.log_time_ns - first_ns))
-        serve_log(logs[0], playback, quiet=options.quiet)
-    elif options.layout:
-        return
-    elif options.video:
-        _record_video(logs[0], options.video, options)
-    else:
-        _show_in_rerun(logs, stop, options)
-
-
 def readable(path: Path, *, recover: bool, quiet: bool) -> log.LogFile:
     """A file that can be read repeatedly: store a pipe; with ``recover`` repair a damaged log."""
     file = log.received_file(path)
@@ -67,38 +31,73 @@ def readable(path: Path, *, recover: bool, quiet: bool) -> log.LogFile:
     return copy.file
 
 
-def _lay_out(source: log.AnyLog | None, path: Path, options: ViewOptions) -> None:
-    channels = log_with_times(source).channels if source is not None and options.foxglove else ()
+def serve(file: log.AnyLog, stop: Stop | None, playback: PlaybackOptions, *, quiet: bool) -> None:
+    """Serve a log to Foxglove, from a frame on if one is given.
+
+    Raises:
+        RoadpercError: as ``serve_log``.
+    """
+    if stop is not None:
+        first_ns = log.summarise(file).first_ns or 0
+        playback = replace(playback, start_s=ns_to_seconds(stop.log_time_ns - first_ns))
+    serve_log(file, playback, quiet=quiet)
+
+
+def lay_out(
+    source: log.AnyLog | None, target: Path, topics: Mapping[str, str], *, live: bool, force: bool, quiet: bool
+) -> None:
+    """Write a Foxglove layout: of a log, of one that is served ``live``, or without a log for a live replay.
+
+    Raises:
+        RoadpercError: as ``write_layout``.
+    """
+    channels = log_with_times(source).channels if source is not None and live else ()
     timed = any(channel.topic == TIMES_TOPIC for channel in channels)
-    write_layout(path, source, options.topics, timed=timed, force=options.force)
-    if not options.quiet:
-        print_line(f"wrote {path}")
+    write_layout(target, source, topics, timed=timed, force=force)
+    if not quiet:
+        print_line(f"wrote {target}")
 
 
-def _record_video(source: log.AnyLog, path: Path, options: ViewOptions) -> None:
-    with frame_progress("writing", not options.quiet) as progress:
-        video = write_video(source, path, force=options.force, progress=progress)
-    if not options.quiet:
+def record_video(source: log.AnyLog, target: Path, *, force: bool, quiet: bool) -> None:
+    """Write a video of a log.
+
+    Raises:
+        RoadpercError: as ``write_video``.
+    """
+    with frame_progress("writing", not quiet) as progress:
+        video = write_video(source, target, force=force, progress=progress)
+    if not quiet:
         print_remarks(video.problems.first.values(), video.problems.counts)
-        print_line(f"wrote {path} ({video.pictures} pictures at {video.rate_hz:.3g} Hz, of {video.frames} frames)")
+        print_line(f"wrote {target} ({video.pictures} pictures at {video.rate_hz:.3g} Hz, of {video.frames} frames)")
 
 
-def _show_in_rerun(logs: Sequence[log.AnyLog], stop: Stop | None, options: ViewOptions) -> None:
-    """Save a recording, or send it to a viewer; two runs open at the worst difference unless a frame is given."""
+def show_in_rerun(
+    logs: Sequence[log.AnyLog],
+    stop: Stop | None,
+    target: Path | None,
+    topics: Mapping[str, str],
+    *,
+    force: bool,
+    quiet: bool,
+) -> None:
+    """Save one or two runs as a recording, or send them to a viewer if ``target`` is None.
+
+    Two runs open at the worst difference unless a frame is given. ``topics`` are by role.
+
+    Raises:
+        RoadpercError: a log cannot be shown, or the file cannot be written.
+    """
     from roadperc_stream.view import rerun  # noqa: PLC0415 - the import takes half a second
 
     differences = find_differences(*logs) if len(logs) > 1 else []
     stop = stop or (differences[0].worst if differences else None)
     shown = rerun.Opening(stop, logs[1] if len(logs) > 1 else None, differences)
-    target, topics = options.save, options.topics
-    with frame_progress("writing" if target else "sending", not options.quiet) as progress:
+    with frame_progress("writing" if target else "sending", not quiet) as progress:
         if target:
-            exported = rerun.save_recording(
-                logs[0], target, topics, force=options.force, progress=progress, shown=shown
-            )
+            exported = rerun.save_recording(logs[0], target, topics, force=force, progress=progress, shown=shown)
         else:
             exported = rerun.open_viewer(logs[0], topics, progress, shown)
-    if options.quiet:
+    if quiet:
         return
     print_remarks(exported.notes, exported.problems)
     if stop is not None:

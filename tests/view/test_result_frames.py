@@ -10,14 +10,12 @@ from roadperc_stream import log
 from roadperc_stream.cli.view import main
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TableError
-from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.model import Absent, Boundary, Lanes
-from roadperc_stream.output import encoding, tables
+from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter
-from roadperc_stream.schemas import row_messages
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes, read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
@@ -38,30 +36,11 @@ def path(tmp_path_factory):
     return path
 
 
-def test_stage_times_have_a_field_for_each_column():
-    names = [field.name for field in row_messages.StageTimes.DESCRIPTOR.fields]
-    assert names == ["timestamp", "frame_id", *TIME_COLUMNS]
-    assert all(row_messages.StageTimes.DESCRIPTOR.fields_by_name[name].has_presence for name in TIME_COLUMNS)
-
-
 def test_stage_times_are_read_in_any_order(path):
     times = TableTimes(path)
     for frame in (0, 1, FRAMES - 1, 3, ROW_GROUP_ROWS, ROW_GROUP_ROWS - 1):
         surface = {} if frame % 2 else {"surface_ms": 1.5}
         assert times.of("log", frame) == {"total_ms": frame} | surface
-
-
-def test_each_row_group_is_read_once(path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        "roadperc_stream.view.result_frames.read_rows_around",
-        lambda path, frame, *columns: asked.append(frame) or tables.read_rows_around(path, frame, *columns),
-    )
-    times = TableTimes(path)
-    for frame in range(FRAMES + 3):
-        times.of("log", frame)
-    assert asked[:3] == [0, ROW_GROUP_ROWS, 2 * ROW_GROUP_ROWS]
-    assert len(times._rows) <= ROW_GROUP_ROWS
 
 
 def test_missing_frames_and_tables_have_no_times(path, tmp_path):
@@ -82,13 +61,6 @@ def test_the_error_names_an_unreadable_table(path, tmp_path, damage):
         broken.write_bytes(path.read_bytes()[:-20] if damage == "cut" else b"frame,total_ms\n")
     with pytest.raises(TableError, match=r"out\.metrics\.parquet"):
         TableTimes(broken).of("log", 0)
-
-
-def test_the_error_names_a_table_without_times(tmp_path):
-    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}) as writer:
-        writer.append(FrameMetrics("log", 0, 0))
-    with pytest.raises(TableError, match="no column read_ms"):
-        TableTimes(tmp_path / "out.metrics.parquet").of("log", 0)
 
 
 def test_a_running_replay_returns_the_noted_times():
@@ -163,19 +135,13 @@ def test_an_unreadable_message_counts_as_absent(tmp_path, topic, data, there):
     assert problems.first[topic].startswith(f"{topic}: message at {STAMPS[1]} ns: ")
 
 
-@pytest.mark.parametrize(
-    ("values", "fault"),
-    [
-        ({"lane_left_offset_m": np.inf}, "metrics: a number is not finite"),
-    ],
-)
-def test_a_frame_with_an_unreadable_row_is_left_out(tmp_path, values, fault):
-    row = encode_metrics("camera", FrameMetrics("log", 1, STAMPS[1], **values))
+def test_a_frame_with_an_unreadable_row_is_left_out(tmp_path):
+    row = encode_metrics("camera", FrameMetrics("log", 1, STAMPS[1], lane_left_offset_m=np.inf))
     path = write_log(tmp_path / "out.mcap", {METRICS: row})
     found, problems = frames(path)
     assert [row.frame for row, _ in found] == [0, 2]
     assert [row.frame for _, row in read_rows(log.summarise(path), Problems())] == [0, 2]
-    assert fault in problems.first[METRICS]
+    assert "metrics: a number is not finite" in problems.first[METRICS]
 
 
 def test_results_with_another_schema_are_ignored(tmp_path):
@@ -183,12 +149,6 @@ def test_results_with_another_schema_are_ignored(tmp_path):
     assert [isinstance(seen.lanes, Absent) for _, seen in found] == [True] * 3
     assert not list(read_rows(log.summarise(write_log(tmp_path / "rows.mcap", foreign=METRICS)), problems))
     assert not problems.counts
-
-
-def test_rows_of_a_version_with_other_columns_are_ignored():
-    known = channel(METRICS)
-    assert is_result_of(known, METRICS)
-    assert not is_result_of(replace(known, schema_data=known.schema_data[:-1]), METRICS)
 
 
 def test_an_unreadable_message_is_absent_in_a_frame_and_reported_by_a_video(tmp_path, capsys):
@@ -200,20 +160,6 @@ def test_an_unreadable_message_is_absent_in_a_frame_and_reported_by_a_video(tmp_
     assert "note: /perception/lanes: message at" in out
     assert "warning: 1 message on /perception/lanes could not be read, not shown" in out
     assert "(3 pictures at 20 Hz, of 3 frames)" in out
-
-
-def test_an_unreadable_overlay_repeats_the_previous_picture(tmp_path):
-    good = encoding.encode_image(STAMPS[0], "camera", "png", PNG)
-    path = tmp_path / "out.mcap"
-    with LogWriter(path) as writer:
-        for frame, content in enumerate((good, BAD, good)):
-            stamp = STAMPS[frame]
-            row = contents(frame)[METRICS]
-            writer.write(Message(channel(METRICS), stamp, stamp, frame, row))
-            writer.write(Message(channel("/perception/overlay"), stamp, stamp, frame, content))
-    video = write_video(path, tmp_path / "video.mp4")
-    assert video.pictures == 3
-    assert video.problems.counts == {"/perception/overlay": 1}
 
 
 def test_a_video_of_unreadable_rows_says_why_it_fails(tmp_path):

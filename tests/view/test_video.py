@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import LogError, TargetError
+from roadperc_stream.errors import LogError
 from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics, result_channel
@@ -103,17 +103,6 @@ def test_a_log_without_overlays_gives_the_same_video(tmp_path):
         assert a[200, 160, 0] > a[200, 160, 2] + 20
 
 
-def test_an_existing_video_is_replaced_only_with_force(tmp_path):
-    source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
-    target = tmp_path / "video.mp4"
-    target.write_bytes(b"mine")
-    with pytest.raises(TargetError, match=r"video.mp4: exists; pass --force to overwrite it"):
-        write_video(source, target)
-    assert target.read_bytes() == b"mine"
-    write_video(source, target, force=True)
-    assert len(read_video(target)[0]) == 2
-
-
 def test_a_video_of_an_input_log_says_to_replay_it_first(tmp_path):
     (tmp_path / "my logs").mkdir()
     source = logs.write(tmp_path / "my logs" / "in.mcap", logs.items(2))
@@ -129,10 +118,3 @@ def test_a_log_without_images_gives_no_video(tmp_path):
     with pytest.raises(LogError, match=r"no camera image in any of 2 frames"):
         write_video(source, tmp_path / "video.mp4")
     assert {p.name for p in tmp_path.iterdir()} == {"out.mcap"}
-
-
-def test_a_folder_that_cannot_be_written_is_an_error(tmp_path):
-    source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(TargetError, match=r"video\.mp4: "):
-        write_video(source, tmp_path / "file" / "video.mp4")

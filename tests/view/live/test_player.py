@@ -11,7 +11,6 @@ from foxglove.websocket import PlaybackStatus as Status
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.view.live.player import (
     EDGE_POLL_S,
-    LONGEST_WAIT_S,
     RESUME_LEAD_S,
     TICK_S,
     Player,
@@ -201,12 +200,6 @@ def test_each_round_of_a_loop_is_a_new_session():
         assert script.events[start + 4] == (Status.Playing, 0, False)
 
 
-def test_a_loop_without_viewers_waits():
-    script = Script(log(), {0: WATCH, 99: STOP}, watching=[]).run(loop=True)
-    assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
-    assert script.events[-1:] == [(Status.Paused, 0, True)]
-
-
 def test_playback_waits_for_a_running_replay_without_loss():
     script = Script(log(), {0: WATCH, 30: STOP}, complete_at_s=9).run()
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
@@ -241,16 +234,6 @@ def test_a_seek_during_a_read_is_not_lost():
     script.follow = interrupted
     assert [event[1] for event in script.run().sent() if event[0] == "/image"] == [0, 1, 2, 3, 4, 3, 4]
     assert script.events[-1] == (Status.Ended, 4, False)
-
-
-def test_every_wait_of_the_player_is_bounded():
-    """A signal just before a wait is handled only after it."""
-    waits = []
-    script = Script(log(), {9: STOP})
-    wait = script.wait
-    script.wait = lambda wait_s: (waits.append(wait_s), wait(wait_s))
-    script.run()
-    assert 0 < max(waits) < 1
 
 
 LOG = Reach(100 * S, 200 * S)
@@ -289,11 +272,6 @@ def test_a_gap_of_more_than_an_hour_is_skipped():
 def test_playing_from_the_end_starts_over(status):
     head, moved = apply_request(Playhead(status, 200 * S, 0), request(play=True), LOG, 9 * S)
     assert (head.log_ns, head.status, moved) == (100 * S, Status.Playing, True)
-
-
-def test_a_pause_at_the_end_does_not_loop():
-    paused, _ = apply_request(Playhead(Status.Ended, 200 * S, 97 * S), request(play=False), LOG, 97 * S)
-    assert advance(paused, None, LOG, 999 * S, loop_ns=105 * S) == (paused, LONGEST_WAIT_S)
 
 
 @pytest.mark.parametrize("loop_ns", [100 * S, None])

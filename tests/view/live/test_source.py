@@ -209,12 +209,6 @@ def test_late_stage_times_are_sent_before_the_next_frame():
     ]
 
 
-def test_stage_times_are_held_after_a_seek():
-    source = timed(LOG, known(0, 1, 2))
-    assert stamped(held(source, {"/image", TIMES_TOPIC}, 1 * S + 5)) == [("/image", 1), (TIMES_TOPIC, 1)]
-    assert stamped(held(source, {"/image", "/perception/metrics"}, 0)) == [("/image", 0), ("/perception/metrics", 0)]
-
-
 def test_foreign_and_damaged_metrics_have_no_stage_times():
     foreign = Channel("/perception/metrics", "protobuf", "other.Metrics")
     broken = Message(METRICS, 0, 0, 0, b"\xff\xff")
