@@ -15,7 +15,7 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-long test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report bench-find image fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-long test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
 
 # uv is three times as fast as pip, but reads no settings of pip: where it finds no packages, pip installs.
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx)
@@ -93,9 +93,6 @@ bench-compare: $(VENV)/.installed  # compares the speed with a commit: make benc
 
 bench-report: $(VENV)/.installed  # speed of reports: writes 5 GB, needs 8 GB of memory
 	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
-
-bench-find: $(VENV)/.installed  # speed of roadperc-find over 10,000 logs: writes 6 GB
-	$(BIN)/python -m tests.eval.bench_find logs/runs/bench-find
 
 ENGINE ?= docker
 IMAGE ?= roadperc

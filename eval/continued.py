@@ -1,17 +1,14 @@
 """Joins continued replays (``--continue``): the tables of one log that was replayed in several files are one run."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
-
-import pyarrow.parquet as pq
 
 from .report_columns import listed
 from .runs import Run, find_runs
 
 _LISTED: Final = 12
-_Link = tuple[Run, Run]
-"""A run, and the run that it continues."""
 
 
 @dataclass(frozen=True)
@@ -25,55 +22,42 @@ class JoinedRuns:
 def find_joined(arguments: Sequence[str]) -> JoinedRuns:
     """The runs that the arguments name, with continued replays joined at the position of their first replay.
 
-    Replays of different versions, and several replays that continue the same one, are not joined.
+    A replay stays separate if several replays continue the same one, or if the one that it continues is ambiguous or
+    missing; that has the same configuration, version and columns.
 
     Raises:
         TableError: an argument names no table, a file is not a metrics table, or its data cannot be read.
     """
     runs = find_runs(arguments)
-    found = {run.name: _continued_by(run, runs) for run in runs if run.continues}
-    links = [(run, found[run.name][0]) for run in runs if len(found.get(run.name, ())) == 1]
-    chains = _chains(runs, [(run, to) for run, to in links if not _why_apart(run, [to], links)])
+    earlier = [(run, _continued_by(run, runs)) for run in runs if run.continues]
+    followers = Counter(found[0].name for _, found in earlier if len(found) == 1)
+    after = {found[0].name: run for run, found in earlier if len(found) == 1 and followers[found[0].name] == 1}
+    later = {run.name for run in after.values()}
+    chains = [list(_chain(run, after)) for run in runs if run.name not in later]
     notes = [_note(chain) for chain in chains if len(chain) > 1]
-    apart = ((run, _why_apart(run, found[run.name], links)) for run in runs if run.name in found)
-    notes += [f"{run.name}: {why}; evaluated separately" for run, why in apart if why]
+    apart = [(run, found) for run, found in earlier if run.name not in later and (found or run.first_frame)]
+    notes += [f"{run.name}: {_why_apart(run, found)}; evaluated separately" for run, found in apart]
     return JoinedRuns(tuple(map(_joined, chains)), tuple(notes))
 
 
-def _continued_by(run: Run, runs: Iterable[Run]) -> list[Run]:
-    """The runs that a run may continue; several only if neither version nor folder distinguishes them."""
-    same = (run.continues, run.config_digest)
-    others = [other for other in runs if other is not run and (other.log_id, other.config_digest) == same]
-    same_version = [other for other in others if other.version == run.version] or others
-    return [other for other in same_version if other.path.parent == run.path.parent] or same_version
+def _continued_by(run: Run, runs: Sequence[Run]) -> list[Run]:
+    """The runs that a run may continue, those of its folder if there are any."""
+    same = (run.continues, run.config_digest, run.version, run.columns)
+    found = [
+        other
+        for other in runs
+        if other is not run and (other.log_id, other.config_digest, other.version, other.columns) == same
+    ]
+    return [other for other in found if other.path.parent == run.path.parent] or found
 
 
-def _why_apart(run: Run, candidates: Sequence[Run], links: Sequence[_Link]) -> str:
-    """Reason why a run is not joined to the run it continues; empty if it is joined or starts at frame 0."""
+def _why_apart(run: Run, candidates: Sequence[Run]) -> str:
     if not candidates:
-        missing = f"continues a replay that is not among these tables (log {run.continues}) at frame {run.first_frame}"
-        return missing if run.first_frame else ""
+        missing = f"log {run.continues}, same configuration, version and columns"
+        return f"continues a replay that is not among these tables ({missing}) at frame {run.first_frame}"
     if len(candidates) > 1:
         return f"may continue any of {len(candidates)} results ({listed([other.name for other in candidates])})"
-    (before,) = candidates
-    following = [after.name for after, to in links if to is before]
-    if len(following) > 1:
-        return f"{listed(following)} all continue {before.name}"
-    if run.version != before.version:
-        return f"continues {before.name}, which is of another version"
-    same = pq.read_schema(run.path).equals(pq.read_schema(before.path))
-    return "" if same else f"continues {before.name}, whose table has other columns"
-
-
-def _chains(runs: Sequence[Run], links: Sequence[_Link]) -> list[list[Run]]:
-    """The runs to join, in order; sorted by the first argument of each chain. Circular links are not joined."""
-    after = {before.name: run for run, before in links}
-    later = {run.name for run, _ in links}
-    chains = [list(_chain(run, after)) for run in runs if run.name not in later]
-    reached = {run.name for chain in chains for run in chain}
-    chains += [[run] for run in runs if run.name not in reached]
-    place = {run.name: at for at, run in enumerate(runs)}
-    return sorted(chains, key=lambda chain: min(place[run.name] for run in chain))
+    return f"is not the only replay that continues {candidates[0].name}"
 
 
 def _chain(run: Run | None, after: Mapping[str, Run]) -> Iterator[Run]:

@@ -99,8 +99,7 @@ def _search(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig, opti
         raise RegressionError(f"{replays.input_log}: nothing fails on the whole log: {whole.text}")
     replays.criteria = tuple(item for item in replays.criteria if item.title == whole.failed)
     changed = changed_settings(base, cfg)
-    window = shortest(replays, cfg, whole, len(changed))
-    replays.left = _replays_of(len(changed)) + 2
+    window = shortest(replays, cfg, whole)
     needed = needed_settings(replays, base, cfg, changed, window)
     result = replays.write(with_settings(base, cfg, needed), window)
     if result is None or result.worst is None:
@@ -122,7 +121,7 @@ def _search(replays: ExcerptReplays, base: ReplayConfig, cfg: ReplayConfig, opti
     yield f"judge      {shlex.join(['roadperc-check', 'again.mcap', '--criteria', str(options.criteria)])}"
 
 
-def shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: ReplayVerdict, settings: int) -> Window:
+def shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: ReplayVerdict) -> Window:
     """The shortest excerpt that fails.
 
     The first excerpts are around the worst frame of the whole log, and grow until one fails. Delta debugging shortens
@@ -137,16 +136,10 @@ def shortest(replays: ExcerptReplays, cfg: ReplayConfig, whole: ReplayVerdict, s
     for power in count():
         reach = math.ceil(_FIRST_REACH_S * _GROWTH**power * NS_PER_S / whole.frame_ns)
         part = range(max(frames.start, -reach), min(frames.stop, 1 + reach // _GROWTH))
-        replays.left = _replays_of(len(part)) + _replays_of(settings) + 2
         if part == frames or fails(part):
             break
         passed.append(part)
     return _window(whole, ddmin(part, fails, passed, span=True))
-
-
-def _replays_of(items: int) -> int:
-    """Expected replays of delta debugging: one for each half, for each half of these, and so on."""
-    return 2 * math.ceil(math.log2(items + 1))
 
 
 def _window(whole: ReplayVerdict, part: Sequence[int]) -> Window:

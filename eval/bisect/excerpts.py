@@ -5,7 +5,7 @@ import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -52,8 +52,8 @@ class ReplayVerdict:
 class ExcerptReplays:
     """Replays of one log and its excerpts, with ``criteria`` of the file ``path`` that judge them.
 
-    ``count`` is the number of replays, including those before an interruption, and ``left`` the expected number of
-    further ones. Each failing excerpt replaces the last one, because the next excerpts are parts of it.
+    ``count`` is the number of replays, including those before an interruption. Each failing excerpt replaces the last
+    one, because the next excerpts are parts of it.
     """
 
     def __init__(self, source: ReplaySource, path: Path, out: Path, folder: Path, show: Show) -> None:
@@ -65,10 +65,9 @@ class ExcerptReplays:
             ConfigError: the criteria cannot be read.
             TableError: the file with the verdicts cannot be read.
         """
-        self.criteria, self.count, self.left = read_criteria(path), 0, 0
+        self.criteria, self.count = read_criteria(path), 0
         self.input_log, self.kept_verdicts = source.files[0], out.with_suffix(_SUFFIX)
         self._source, self._path, self._out, self._folder, self._show = source, path, out, folder, show
-        self._frames = 0
         self._failing: tuple[Path, Window] | None = None
         self._known: dict[str, dict[str, Any]] = {}
         try:
@@ -83,13 +82,13 @@ class ExcerptReplays:
         Raises:
             RoadpercError: it cannot be replayed, or a criterion does not fit.
         """
-        self.count, self.left = self.count + 1, max(self.left - 1, 0)
+        self.count += 1
         facts = __version__, self._log_digest, self._source.overrides, self.criteria, cfg.to_toml(), window
         key = hashlib.sha256(repr(facts).encode()).hexdigest()
         if key not in self._known:
             self._known[key] = asdict(self._replayed(cfg, window))
-            with completing(self.kept_verdicts) as partial:
-                partial.write_text(json.dumps(self._known))
+            with completing(self.kept_verdicts) as temporary:
+                temporary.write_text(json.dumps(self._known))
         return ReplayVerdict(**self._known[key])
 
     def write(self, cfg: ReplayConfig, window: Window) -> Result | None:
@@ -101,7 +100,7 @@ class ExcerptReplays:
         Raises:
             RoadpercError: it cannot be replayed or written.
         """
-        self.count, self.left = self.count + 1, 0
+        self.count += 1
         failed, _ = self._judged(self._excerpt(cfg, window), ReplayTarget(self._out, force=True), cfg)
         self.forget()
         return failed
@@ -143,8 +142,9 @@ class ExcerptReplays:
 
     def _judged(self, path: Path, target: ReplayTarget, cfg: ReplayConfig) -> tuple[Result | None, str]:
         """Replay a log; the first criterion that fails, and its text or the reason why none fails."""
-        source = replace(self._source, paths=path)
-        self._frames += replay_with(source, target, cfg, progress=self._progress).frames
+        replay_with(
+            replace(self._source, paths=path), target, cfg, progress=partial(self._show, f"replay {self.count}")
+        )
         results = judge(self.criteria, [open_run(target.metrics, self.input_log.name)], self._path)
         failed = next((result for result in results if result.outcome == "failed"), None)
         if failed is not None:
@@ -153,11 +153,6 @@ class ExcerptReplays:
             return None, f"{results[0].criterion.title} is {results[0].outcome}: {results[0].text}"
         found = Counter(result.outcome for result in results)
         return None, ", ".join(f"{count} {outcome}" for outcome, count in found.items())
-
-    def _progress(self, done: int, expected: int) -> None:
-        """Show the progress over all replays; further ones are expected to be as long as this one."""
-        further = f" of about {self.count + self.left}" if self.left else ""
-        self._show(f"replay {self.count}{further}", self._frames + done, self._frames + expected * (1 + self.left))
 
 
 def first_ns(source: ReplaySource) -> int:

@@ -22,10 +22,6 @@ from ..scan import SEGMENT, rows_of
 _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
 TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
-FARTHEST_M: Final = 1e9
-_NORMS: Final = (1e-3, 1e3)
-"""Smallest and largest norm of a usable quaternion."""
-
 
 PoseFormat = Literal["tum", "kitti"]
 
@@ -86,7 +82,7 @@ def _pose_matrices(rows: Float) -> Float:
 
 
 def read_poses(run: Run) -> RunPoses:
-    """Read a run's poses; a pose with a value that is null, not finite or out of range is missing.
+    """Read a run's poses; a pose with a value that is null or not finite is missing.
 
     Raises:
         TableError: the table cannot be read, or no frame has an estimated pose.
@@ -122,12 +118,8 @@ def read_poses(run: Run) -> RunPoses:
 
 
 def known_poses(rows: Float) -> NDArray[np.bool_]:
-    """(N,) whether each of (N, 7) rows is a pose."""
-    with np.errstate(over="ignore"):  # an infinite norm is too long
-        norms = np.linalg.norm(rows[:, 3:], axis=1)
-    least, most = _NORMS
-    known: NDArray[np.bool_] = (np.abs(rows[:, :3]) <= FARTHEST_M).all(axis=1) & (least <= norms) & (norms <= most)
-    return known
+    """(N,) whether each of (N, 7) rows is a pose: all its values are finite."""
+    return np.asarray(np.isfinite(rows).all(axis=1))
 
 
 def export(folder: Path, run: RunPoses, suffix: PoseFormat) -> None:

@@ -11,7 +11,7 @@ from roadperc_stream.cli import bisect, check, replay
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.bisect import bisect as searching
 from roadperc_stream.eval.bisect import excerpts
-from roadperc_stream.eval.bisect.bisect import changed_settings, needed_settings, shortest, with_settings
+from roadperc_stream.eval.bisect.bisect import changed_settings, needed_settings, shortest
 from roadperc_stream.eval.bisect.excerpts import ReplayVerdict
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import NS_PER_S
@@ -104,7 +104,7 @@ class Judging:
     """Replays that fail if ``fails`` says so about the window in frames after the worst one, or about the settings."""
 
     def __init__(self, fails):
-        self.fails, self.windows, self.left = fails, [], 0
+        self.fails, self.windows = fails, []
 
     def verdict(self, cfg, window):
         self.windows.append(window)
@@ -119,7 +119,7 @@ def test_the_excerpt_has_the_frames_that_the_failure_needs(first, last):
         return window[0] < 10**18 + first * 10**8 and 10**18 + last * 10**8 < window[1]
 
     judging = Judging(fails)
-    window = shortest(judging, load_config(), whole, 8)
+    window = shortest(judging, load_config(), whole)
     assert [(limit_ns - 10**18) / 10**8 for limit_ns in window] == [first - 0.5, last + 0.5]
     assert len(set(judging.windows)) == len(judging.windows)
     assert len(judging.windows) <= (16 if last - first < 40 else 31)
@@ -168,11 +168,3 @@ def test_errors_come_before_the_first_replay(given, capsys, tmp_path, options, e
     assert (code, out) == (3, "")
     assert expected in err
     assert err.count("\n") == 1
-
-
-def test_settings_are_those_that_differ():
-    base, cfg = load_config(None, ["lanes.hold_s=1"]), load_config(None, ["seed=2", "surface.classes=road,sidewalk"])
-    keys = changed_settings(base, cfg)
-    assert keys == ("seed", "surface.classes", "lanes.hold_s")
-    assert with_settings(base, cfg, keys) == cfg
-    assert with_settings(base, cfg, ("seed",)) == load_config(None, ["lanes.hold_s=1", "seed=2"])

@@ -10,9 +10,7 @@ from roadperc_stream.eval.configurations import (
     change,
     differing,
     grouped,
-    settings_of,
     settings_table,
-    settings_that_differ,
 )
 from roadperc_stream.eval.runs import Run
 
@@ -26,10 +24,6 @@ def digest(toml):
 def run(name="a", toml="", version="1", made_by=None):
     made_by = digest(toml) if made_by is None else made_by
     return Run(name, Path(f"/nowhere/{name}.metrics.parquet"), 1, frozenset(), made_by, version, toml)
-
-
-def test_invalid_toml_gives_no_settings():
-    assert settings_of(run(toml="lanes = ")) is None
 
 
 def test_differing_values_and_settings_that_one_version_lacks():
@@ -56,12 +50,6 @@ def test_the_table_has_a_row_for_each_setting_and_names_unknown_configurations()
     assert table.rows == [("seed", "1", "2", "unknown")]
     assert table.headers == ("a", "b", "c")
     assert table.notes == ("unknown: no configuration in the table: c",)
-
-
-def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
-    one, other = run("a", "seed = 1"), run("b", "seed = 1", version="2")
-    assert settings_that_differ({"a": one, "b": one}) == ({}, ())
-    assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 
 UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table"

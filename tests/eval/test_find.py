@@ -15,7 +15,6 @@ from roadperc_stream.input.earlier_replay import is_result
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import ObjectMetrics
 from roadperc_stream.schemas.topics import METRICS_TOPIC
-from tests.eval.bench_find import IMPACT, NEAR, write_dataset
 from tests.eval.dataset.datasets import A, B, add_table, done, log_id, write_runs
 from tests.eval.tables import outcome, row
 from tests.test_sample import SAMPLE
@@ -177,12 +176,3 @@ def test_a_clip_has_the_results_and_replays_alone(kept, result, capsys, tmp_path
     code, _, err = outcome(find.main, capsys, *asked)
     assert (code, err.splitlines()[0]) == (1, f"warning: no {clip}: {clip}: exists; pass --force to overwrite it")
     assert not kept or outcome(find.main, capsys, *asked, "--force")[0] == 0
-
-
-def test_every_hundredth_log_of_the_benchmark_has_an_event(tmp_path, capsys):
-    write_dataset(tmp_path, 101, 60)
-    for condition in (IMPACT, NEAR):
-        code, out, _ = outcome(find.main, capsys, tmp_path, condition)
-        first, _, *events = out.splitlines()
-        assert (code, first) == (0, f"2 events in 2 logs: {condition}")
-        assert [line.split()[:3] for line in events] == [["log00000", "21", "39"], ["log00100", "21", "39"]]

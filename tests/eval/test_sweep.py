@@ -13,7 +13,6 @@ from polars.testing import assert_frame_equal
 
 from roadperc_stream.cli.sweep import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import TimeRange
@@ -68,17 +67,6 @@ def test_settings_are_columns_of_their_types(source, tmp_path):
     assert columns.dtypes == [pl.Float64, pl.Int64, pl.Boolean, pl.String]
     assert columns.unique().height == 4
     assert columns.unique("stereo.disparities")["stereo.disparities"].sort().to_list() == ["64", "auto"]
-
-
-def test_a_table_has_its_configuration_and_the_report_reads_it(source, tmp_path):
-    sweep(source, tmp_path / "out", *LANES)
-    runs = find_runs([str(tmp_path / "out")])
-    replay(source, tmp_path / "one.mcap", load_config(None, ("lanes.process_noise=1",)))
-    (one,) = find_runs([str(tmp_path / "one.mcap")])
-    assert [run.name for run in runs] == ["0000/in", "0001/in"]
-    assert (runs[1].config_digest, runs[1].version) == (one.config_digest, one.version)
-    assert load_config(tmp_path / "out" / "0001" / "roadperc.toml").lanes.process_noise == 1.0
-    assert runs[0].frames == 4
 
 
 def test_two_processes_give_the_same_tables_as_one(source, tmp_path, capsys):
@@ -158,14 +146,6 @@ def test_an_earlier_sweep_is_replaced_only_with_force_and_success(source, tmp_pa
     assert_frame_equal(pl.scan_parquet(f"{out}/**/*.parquet").collect(), before)
     assert sweep(source, out, *LANES, "--force").height == 2 * 4
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "in.mcap", "out"]
-
-
-def test_other_files_are_never_replaced(source, tmp_path, capsys):
-    err = failed(capsys, source, "--out", tmp_path, *LANES, "--force")
-    assert "the folder holds other files" in err
-    err = failed(capsys, source, "--out", source, *LANES, "--force")
-    assert "is a file" in err
-    assert source.is_file()
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.cli.sweep import varied
-from roadperc_stream.config import load_config
-from roadperc_stream.errors import TableError
-from roadperc_stream.eval.sweep.combinations import combinations, reference_of
+from roadperc_stream.eval.sweep.combinations import combinations
 from roadperc_stream.eval.sweep.ranking import METRICS, SettingScore, best, effect, scores
 from roadperc_stream.eval.sweep.sweep import best_settings, effects, without_effect
 from roadperc_stream.output.tables import TableWriter
@@ -49,16 +47,6 @@ def test_scores_are_medians_of_the_absolute_error_with_coverage(tmp_path):
     assert found == [SettingScore(0.2, 1.0), SettingScore(0.2, pytest.approx(2 / 3)), SettingScore(None, 0.0)]
 
 
-def test_the_score_of_a_share_is_its_mean(tmp_path):
-    rows = [[{"drivable_iou": share} for share in shares] for shares in ((1.0, 1.0, 0.4), (1.0, 1.0, 1.0), (0.9,))]
-    assert [score.value for score in scores(dataset(tmp_path, rows), GATES, OVERLAP)] == pytest.approx([0.8, 1.0, 0.9])
-
-
-def test_values_that_are_not_finite_count_as_missing(tmp_path):
-    files = dataset(tmp_path, [errors(0.1, float("nan")), errors(float("inf"), 0.2), errors(0.3, 0.3)])
-    assert scores(files, GATES, ERROR) == [SettingScore(0.1, 0.5), SettingScore(0.2, 0.5), SettingScore(0.3, 1.0)]
-
-
 def test_jitter_does_not_cross_logs(tmp_path):
     """The second differences of a parabola are equal, with deviation 0; those of a kink are 0 and 1."""
     rows = [
@@ -66,13 +54,6 @@ def test_jitter_does_not_cross_logs(tmp_path):
     ]
     files = dataset(tmp_path, rows)
     assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.5), SettingScore(0.5, 0.5), SettingScore(0.0, 0.5)]
-
-
-def test_tables_that_cannot_be_read_are_errors(tmp_path):
-    files = dataset(tmp_path, [errors(0.1)] * 3)
-    files[0].write_bytes(b"no table")
-    with pytest.raises(TableError, match="cannot be read"):
-        scores(files, GATES, ERROR)
 
 
 def test_of_equal_settings_the_one_with_the_fewest_changes_is_best():
@@ -148,8 +129,3 @@ def test_the_table_shows_the_best_setting_the_reference_and_lower_coverage():
     assert without_effect(found) == "no difference: drivable IoU"
     assert cells(effects(found, GATES, "lanes.gate"))[0] == ["lane left error at 10 m, m", "  frames %"]
     assert cells(effects(found, GATES, "lanes.gate"))[2] == ["0.100", "50.0"]
-
-
-def test_the_reference_is_the_configured_setting_or_the_first():
-    assert reference_of(made("lanes.hold_s=2,0.5"), load_config()).number == 1
-    assert reference_of(GATES, load_config()).number == 0

@@ -83,11 +83,3 @@ def test_json_has_scores_and_rates_and_curves_are_svg(swept):
     assert values["settings"]["0002"] == {"corruption": "depth_noise", "severity": 5}
     root = ElementTree.parse(swept / "out" / "curves.svg").getroot()
     assert "lane left measured" in [text.text for text in root.iter("{http://www.w3.org/2000/svg}text")]
-
-
-def test_another_folder_is_no_baseline(swept, capsys):
-    assert sweep(swept, "new", "--baseline", str(swept)) == 1
-    assert f"{swept}: degrade None, expected a sweep with" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main([str(swept / "in.mcap"), "--vary", "seed=1,2", "--baseline", str(swept / "base")])
-    assert "--baseline needs --degrade" in capsys.readouterr().err
