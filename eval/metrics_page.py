@@ -11,7 +11,7 @@ from roadperc_stream.schemas.columns.runs import RunRow
 
 _BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table in the page, below the names of the groups of columns it defines."""
-_HEADER: Final = ("column", "meaning", "unit", "better", "null where", "relevant", "limit")
+_HEADER: Final = ("column", "meaning", "unit, better", "null where", "relevant", "limit")
 """Only tables of errors have the last two."""
 _GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics, RunRow)}
 
@@ -41,7 +41,7 @@ def table(groups: list[str]) -> str:
 def _cells(column: Column) -> tuple[str, ...]:
     limit = "" if column.limit is None else f"{column.limit:g}"
     relevant = f"{column.relevant:g}" if column.label else ""
-    return column.meaning, column.unit, column.better, column.null, relevant, limit
+    return column.meaning, ", ".join(filter(None, (column.unit, column.better))), column.null, relevant, limit
 
 
 def main() -> None:
