@@ -2,9 +2,7 @@
 
 import argparse
 import os
-import re
 import time
-from itertools import groupby
 from pathlib import Path
 
 from rich.console import Console
@@ -12,12 +10,10 @@ from rich.table import Table
 
 from tests.accuracy.drives import ROOT
 from tests.accuracy.figures import FIGURES
+from tests.accuracy.page import HEADERS, by_section, cells, with_tables
 from tests.accuracy.running import remove_replays, run
 
-BLOCK = re.compile(r"(?<=<!-- figures -->\n)(.*?)(?=<!-- end -->)", re.DOTALL)
-VERDICTS = {True: "yes", False: "no", None: ""}
 STYLES = {True: "green", False: "red", None: ""}
-HEADERS = ("figure", "required", "measured", "coverage", "met")
 
 
 def parser():
@@ -64,16 +60,6 @@ def summary(lines):
     return f"{met} of {len(verdicts)} required figures are met, {missing} could not be measured"
 
 
-def cells(figure, measured):
-    """The cells of a line."""
-    return figure.name, figure.required, measured.text, measured.coverage, VERDICTS[measured.met]
-
-
-def by_section(lines):
-    """Sections with their lines."""
-    return {section: list(group) for section, group in groupby(lines, key=lambda line: line[0].section)}
-
-
 def print_table(lines):
     """Print one table with all sections."""
     table = Table(title="Accuracy", show_lines=False)
@@ -87,25 +73,6 @@ def print_table(lines):
             table.add_row(*texts, style=STYLES[measured.met])
     Console().print(table)
     print(summary(lines))
-
-
-def with_tables(page, lines, about, *, whole):
-    """The page with new tables after the sentence ``about``, or with the tables of some sections replaced or added.
-
-    Raises:
-        ValueError: the page has no markers for the tables.
-    """
-    found = BLOCK.search(page)
-    if found is None:
-        raise ValueError("expected <!-- figures --> and <!-- end --> in the page")
-    head, *old = re.split(r"^(?=### )", found[0], flags=re.MULTILINE)
-    tables = {} if whole else {text.partition("\n")[0].removeprefix("### "): text.strip() for text in old}
-    for section, of_section in by_section(lines).items():
-        rows = "\n".join(f"| {' | '.join(cells(*line))} |" for line in of_section)
-        sentence = "" if whole else f"{about}\n\n"
-        tables[section] = f"### {section}\n\n{sentence}| {' | '.join(HEADERS)} |\n|---|---|---|---|---|\n{rows}"
-    block = "\n\n".join(filter(None, (about if whole else head.strip(), *tables.values())))
-    return f"{page[: found.start()]}{block}\n{page[found.end() :]}"
 
 
 if __name__ == "__main__":

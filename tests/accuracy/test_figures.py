@@ -2,10 +2,11 @@
 
 import pytest
 
-from tests.accuracy.__main__ import summary, with_tables
+from tests.accuracy.__main__ import summary
 from tests.accuracy.bounds import Measured, Value, at_least, at_most
 from tests.accuracy.drives import Drive, Noise, drive
 from tests.accuracy.figures import FIGURES, Figure
+from tests.accuracy.page import tables, with_tables
 from tests.accuracy.running import Results, replay_source, run, seeds_of
 from tests.accuracy.scenarios import Scenario
 
@@ -47,8 +48,8 @@ def test_the_number_of_seeds_depends_on_the_drive():
     assert list(seeds_of("logs/sample.mcap", 100, 8)) == [100]
 
 
-def line(section, text, met=None):
-    return Figure(section, "a", at_most(1), (), None), Measured(text, "50.0 %", met)
+def line(section, text, met=None, name="a", limit=1):
+    return Figure(section, name, at_most(limit), (), None), Measured(text, "50.0 %", met)
 
 
 def test_the_tables_of_the_page_are_replaced():
@@ -66,6 +67,21 @@ def test_the_tables_of_the_page_are_replaced():
     assert "2.0 %" not in newer
     with pytest.raises(ValueError, match="figures"):
         with_tables("nothing", lines, "Seeds.", whole=True)
+
+
+def test_figures_of_several_cases_are_one_table():
+    lines = [
+        line("", "2.0 %", met=False, name="fog: off"),
+        line("", "0.5 %", met=True, name="rain: off"),
+        line("", "7.0 %", met=True, name="fog: missed", limit=8),
+        line("", "9.0 %", met=True, name="rain: missed", limit=10),
+    ]
+    assert tables(lines).splitlines() == [
+        "| case | off (≤ 1 %) | missed | coverage |",
+        "|---|---|---|---|",
+        "| fog | **2.0 %** | 7.0 %; ≤ 8 % | 50.0 % |",
+        "| rain | 0.5 % | 9.0 %; ≤ 10 % | 50.0 % |",
+    ]
 
 
 TINY = drive("tiny", scene="straight", width=160, height=120, seconds=0.3)
