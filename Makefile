@@ -45,7 +45,7 @@ test-long: $(VENV)/.installed  # rendered scenes, killed replays, the commands o
 	$(BIN)/python -m pytest $(PARALLEL) -m 'long and not accuracy' $(TESTS)
 
 HOSTILE := tests/hostile/test_terminal.py tests/info tests/batch/test_dataset_lock.py tests/eval/test_report.py \
-	tests/resume/test_resume.py tests/tools/test_carla_to_mcap.py tests/view/rerun/test_saving.py
+	tests/resume/test_resume.py tests/tools/test_conversion.py tests/view/rerun/test_saving.py
 test-hostile: $(VENV)/.installed  # tests of reading, writing and printing, in an unusual environment
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy and not long' $(HOSTILE)
 

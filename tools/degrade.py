@@ -29,10 +29,10 @@ from roadperc_stream.system.files import completing
 from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
-from .carla_dump.messages import JPEG_QUALITY, channel_of
 from .corruptions.draw import Draw
 from .corruptions.levels import LEVELS
 from .corruptions.sensors import CONTENTS, DELIVERIES
+from .recording import JPEG_QUALITY, channel_of
 
 _SENSORS: Final[tuple[Kind, ...]] = ("image", "tags", "instances", "depth", "points", "detections")
 _READ: Final[tuple[Kind, ...]] = (*_SENSORS, "tf")

@@ -31,13 +31,13 @@ from roadperc_stream.system.process import optional_output
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
-from .carla_dump.messages import channel_of
-from .carla_to_mcap import recording_of, write
-from .layouts.drive import ConvertOptions
+from .conversion import recording_of, write
+from .layouts.dataset import ConvertOptions
 from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
 from .networks.semantic import HorizonEstimate
+from .recording import channel_of
 from .video_log import videos_of
 
 _IMAGE_ROLES: Final = ("image", "left")

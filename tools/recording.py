@@ -1,22 +1,34 @@
-"""A recording of any kind, as ``roadperc-convert`` prints and writes it."""
+"""A recording of any kind, as ``roadperc-convert`` prints and writes it, and the messages that all kinds have."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera
-from roadperc_stream.geometry.rectification import is_rectified, lens_of
+from roadperc_stream.geometry.rectification import is_rectified, lens_of, rectified, resampled
 from roadperc_stream.input.findings import InputEvidence, camera_findings, label_findings
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import Detection
+from roadperc_stream.model.tag_tables import TagTable
+from roadperc_stream.output import encoding
+from roadperc_stream.schemas.protobuf import schema
+from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.schemas.roles import ROLES
 
 from .rig import Rig
 
+P = TypeVar("P", np.uint8, np.uint16, np.float32)
 COLUMNS: Final = ("role", "from", "frames", "missing", "size", "encoding")
 SensorRow = tuple[str, str, str, str, str, str]
 """The printed row of a sensor, by ``COLUMNS``; empty cells are unknown."""
 Messages = Callable[[list[str]], Iterator[tuple[str, Message]]]
 """Makes the messages with their roles, in log order; appends warnings about lost frames to its argument."""
+JPEG_QUALITY: Final = 95
+"""99 % of the pixels of a road video keep their grey value to 2 levels; at 90 to 3, in two thirds of the bytes."""
+WORKERS: Final = 2
 
 
 @dataclass(frozen=True)
@@ -39,6 +51,33 @@ class Recording:
     """Stamp in nanoseconds of each labelled image by its name in the dataset's label files."""
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+
+def channel_of(role: str, tag_table: TagTable | None = None) -> Channel:
+    """Return the channel of a role; that of tags names its table."""
+    definition = schema(ROLES[role].schema)
+    return Channel(
+        ROLES[role].topic,
+        definition.message_encoding,
+        definition.name,
+        definition.schema_encoding,
+        definition.data,
+        ((TAG_TABLE_KEY, tag_table.name),) if tag_table and ROLES[role].kind == "tags" else (),
+    )
+
+
+def static_messages(rig: Rig, first_ns: int) -> list[tuple[str, bytes]]:
+    """Return calibrations of the rectified images, and transforms, with their roles."""
+    cameras = {role: rectified(rig.cameras[role]) for role in ROLES if role in rig.cameras}
+    found = [(role, encoding.encode_calibration(first_ns, camera)) for role, camera in cameras.items()]
+    if rig.transforms:
+        found.append(("tf", encoding.encode_transforms(first_ns, rig.transforms)))
+    return found
+
+
+def straightened(camera: Camera, pixels: NDArray[P], *, nearest: bool = False) -> NDArray[P]:
+    """Return pixels without the distortion of their camera's lens; ``nearest`` as in ``resampled``."""
+    return pixels if is_rectified(camera) else resampled(camera, rectified(camera), pixels, nearest=nearest)
 
 
 def camera_facts(rig: Rig) -> list[tuple[str, str]]:

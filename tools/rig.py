@@ -3,14 +3,16 @@
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
 from roadperc_stream.config.calibration import CalibrationConfig
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry import Camera, Float, Lens, rigid
+from roadperc_stream.geometry import Camera, Float, Lens, pinhole_fault, rigid
+from roadperc_stream.geometry.cameras import pinhole_of_K
 from roadperc_stream.input.calibrations import LIDAR, GivenCalibration, Size
+from roadperc_stream.input.projections import require_pinhole
 from roadperc_stream.model import EGO, Transform
 from roadperc_stream.schemas.role_names import role_of
 
@@ -92,6 +94,36 @@ def build_rig(
     frame_ids = {"depth": depth_frame, "truth_depth": depth_frame, "left": LEFT, "right": RIGHT, "lidar": LIDAR}
     notes = tuple(_notes(known, front_T, cameras, roles))
     return Rig(cameras, frame_ids, transforms, notes, known.stated_baseline_m)
+
+
+def front_rig(
+    where: str,
+    size: Size | None,
+    K: Float,
+    origin: Literal["corner", "centre"],
+    mountings: tuple[Float, Float | None],
+) -> Rig:
+    """Return the rig of a dataset with one front camera, whose depth and tags have the same view, and a lidar.
+
+    Args:
+        where: file and key of K, for messages.
+        size: columns and rows of the images.
+        K: (3, 3); its principal point counts from the first pixel's ``origin``.
+        origin: corner or centre.
+        mountings: (4, 4) ego_T_camera, and ego_T_lidar if there is a lidar.
+
+    Raises:
+        DumpError: K is not that of a camera with such images.
+    """
+    if K.shape != (3, 3):
+        raise DumpError(f"{where}: expected 3 rows of 3 numbers, found {K.size} numbers")
+    require_pinhole(where, K)
+    (width, height), pinhole = size or (0, 0), pinhole_of_K(K, origin)
+    if fault := pinhole_fault(width, height, *pinhole):
+        raise DumpError(f"{where}: {fault}")
+    edges = zip((FRONT, LIDAR), mountings, strict=True)
+    transforms = tuple(Transform(EGO, frame, pose) for frame, pose in edges if pose is not None)
+    return Rig({"calibration": Camera(FRONT, width, height, *pinhole)}, {"depth": FRONT, LIDAR: LIDAR}, transforms)
 
 
 def _same(a: Float | None, b: Float | None) -> bool:

@@ -25,8 +25,7 @@ from roadperc_stream.output import encoding
 from roadperc_stream.schemas.topics import VIDEO_SCHEMAS
 from roadperc_stream.system.text import shown
 
-from .carla_dump.messages import JPEG_QUALITY, channel_of
-from .recording import Recording
+from .recording import JPEG_QUALITY, Recording, channel_of
 from .video_file import open_capture
 
 _KEY_FRAMES: Final = {

@@ -14,12 +14,20 @@ from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.text import shown, whole_number
 from roadperc_stream.system.threads import in_order
 
-from .carla_dump.calibration_file import CALIBRATION_NAME
-from .carla_dump.json_files import EPOCH_NS
-from .carla_dump.messages import JPEG_QUALITY, WORKERS, channel_of, static_messages, straightened
-from .layouts.drive import ConvertOptions
-from .layouts.dump import calibration_of
-from .recording import Recording, SensorRow, camera_facts, finding_notes, mounting_fact
+from .layouts.dataset import ConvertOptions
+from .readers.documents import EPOCH_NS
+from .recording import (
+    JPEG_QUALITY,
+    WORKERS,
+    Recording,
+    SensorRow,
+    camera_facts,
+    channel_of,
+    finding_notes,
+    mounting_fact,
+    static_messages,
+    straightened,
+)
 from .rig import FRONT, Rig, build_rig
 from .video_file import ReadCounts, VideoFile, frames_of, open_video
 
@@ -58,7 +66,7 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
         if (video.width, video.height) != (first.width, first.height):
             sizes = f"{video.width}x{video.height}, expected {first.width}x{first.height} as {first.path.name}"
             raise DumpError(f"{video.path}: {sizes}; convert videos of different cameras one by one")
-    calibration, path = calibration_of(paths[0].parent / CALIBRATION_NAME, options)
+    calibration, path = options.calibration_of(paths[0].parent)
     rig = build_rig(calibration, path, ["image"], {"image": (first.width, first.height)})
     camera = rig.cameras["calibration"]
     if (camera.width, camera.height) != (first.width, first.height):

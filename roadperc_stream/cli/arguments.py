@@ -40,9 +40,9 @@ def about_log(cfg: "ReplayConfig", arguments: argparse.Namespace) -> "ReplayConf
     path: Path | None = arguments.calibration
     found = CalibrationConfig()
     if path is not None:
-        from roadperc_stream.tools.layouts.dump import calibration_in
+        from roadperc_stream.tools.readers.calibration_file import load_calibration
 
-        known = calibration_in(path).model_dump(include=set(CalibrationConfig.model_fields))
+        known = load_calibration(path).model_dump(include=set(CalibrationConfig.model_fields))
         found = CalibrationConfig.model_validate(known)
     found = found.with_options(path, arguments.fov, arguments.height)
     labels: Path | None = vars(arguments).get("labels")

@@ -59,8 +59,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parse(parser, argv)
     roles = dict(_role(parser, option) for option in arguments.role)
-    from roadperc_stream.tools.carla_to_mcap import convert
-    from roadperc_stream.tools.layouts.drive import ConvertOptions
+    from roadperc_stream.tools.conversion import convert
+    from roadperc_stream.tools.layouts.dataset import ConvertOptions
 
     def converted() -> None:
         options = ConvertOptions(

@@ -47,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
     from roadperc_stream.config import ReplayConfig
     from roadperc_stream.log import is_log
     from roadperc_stream.tools.infer import InferOptions, infer
-    from roadperc_stream.tools.layouts.drive import ConvertOptions
+    from roadperc_stream.tools.layouts.dataset import ConvertOptions
 
     source_is_log = is_log(arguments.source)
     if arguments.rate is not None and source_is_log:

@@ -13,7 +13,7 @@ import pytest
 from roadperc_stream import log
 from roadperc_stream.errors import DumpError
 from roadperc_stream.system.time import NS_PER_S
-from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS, stamps_of_file
+from roadperc_stream.tools.readers.frame_stamps import EPOCH_NS, stamps_of_file
 from tests.commands import run_forked, words
 
 pytestmark = pytest.mark.commands

@@ -13,19 +13,17 @@ from roadperc_stream.config.loading import load_labels
 from roadperc_stream.errors import ConfigError, DumpError
 from roadperc_stream.eval.criteria import read_criteria
 from roadperc_stream.eval.lanes.lane_files import LaneFileError, read_frames, read_list
-from roadperc_stream.tools.carla_dump import json_files
-from roadperc_stream.tools.carla_dump.calibration_file import load_calibration
-from roadperc_stream.tools.carla_dump.camera_info import load_camera_info
-from roadperc_stream.tools.carla_dump.detection_files import load_detections
-from roadperc_stream.tools.carla_dump.frame_stamps import stamps_of_file
-from roadperc_stream.tools.carla_dump.image_files import read_bytes, read_header
-from roadperc_stream.tools.carla_dump.pixel_files import file_size
-from roadperc_stream.tools.carla_dump.point_files import points_kind
-from roadperc_stream.tools.carla_dump.tag_files import named_table
-from roadperc_stream.tools.carla_dump.truth_file import load_poses, load_truth
-from roadperc_stream.tools.carla_dump.yolo_files import is_yolo
 from roadperc_stream.tools.layouts.carla_files import read_document
 from roadperc_stream.tools.networks.description import read_network
+from roadperc_stream.tools.readers import detection_files, documents
+from roadperc_stream.tools.readers.calibration_file import load_calibration
+from roadperc_stream.tools.readers.detection_files import load_detections
+from roadperc_stream.tools.readers.frame_stamps import stamps_of_file
+from roadperc_stream.tools.readers.image_files import read_bytes, read_header
+from roadperc_stream.tools.readers.pixel_files import file_size
+from roadperc_stream.tools.readers.point_files import points_kind
+from roadperc_stream.tools.readers.tag_files import named_table
+from roadperc_stream.tools.readers.truth_file import load_poses, load_truth
 from tests.eval.tables import outcome
 from tests.tools.dump_writer import camera_pixels, jpeg
 from tests.tools.layouts.test_kitti_odometry import dataset, numbers, replaced
@@ -40,17 +38,17 @@ READERS = {
     "tags": lambda path: named_table(str(path.rename(path.with_suffix(".toml")))),
     "network": read_network,
     "calibration": load_calibration,
-    "camera_info": load_camera_info,
+    "camera_info": lambda path: load_calibration(path.rename(path.with_suffix(".yaml"))),
     "detections": load_detections,
     "stamps": lambda path: stamps_of_file(path, [1]),
     "poses": load_poses,
     "truth": lambda path: load_truth(path, "camera_front"),
     "document": read_document,
-    "text": json_files.read_lines,
+    "text": documents.read_lines,
     "lanes": read_frames,
     "list of lanes": lambda path: read_list(path, ["a.jpg"], np.arange(9.0)),
-    "boxes": lambda path: is_yolo([path]),
-    "YAML": json_files.read_yaml,
+    "boxes": lambda path: detection_files.load_labels({0: path}, [0], (1, 1)),
+    "YAML": documents.read_yaml,
     "image": read_bytes,
     "header": read_header,
     "pixels": file_size,
@@ -78,7 +76,7 @@ def test_a_file_is_read_up_to_a_size(tmp_path):
     path = tmp_path / "a.toml"
     with path.open("wb") as file:
         file.truncate(3_000_000_000)
-    for read in (load_config, read_criteria, load_camera_info, read_document, json_files.read_json):
+    for read in (load_config, read_criteria, read_document, documents.read_json):
         with pytest.raises((ConfigError, DumpError), match="is larger than"):
             read(path)
 

@@ -18,7 +18,7 @@ from roadperc_stream.output.findings import Contradictions
 from roadperc_stream.output.pose_evidence import PoseEvidence
 from roadperc_stream.output.spread import Spread
 from roadperc_stream.output.tables import read_footer, sidecar_path
-from roadperc_stream.tools.carla_dump.depth_files import carla_metres
+from roadperc_stream.tools.readers.depth_files import carla_metres
 from tests import logs, replaying
 from tests.eval.tables import outcome, row
 from tests.resume.test_kills import interrupt, same

@@ -14,7 +14,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
 from tests.tools.dump_writer import camera_pixels, document, jpeg
-from tests.tools.test_carla_to_mcap import failure, payloads, printed_by
+from tests.tools.test_conversion import failure, payloads, printed_by
 
 COLUMNS, ROWS = 9, 6
 SIZE = (1280, 720)

@@ -20,7 +20,7 @@ from roadperc_stream.schemas import cdr
 from roadperc_stream.schemas.protobuf import set_stamp
 from tests import logs, rosbag
 from tests.foxglove_json import as_json
-from tests.tools.test_carla_to_mcap import failure
+from tests.tools.test_conversion import failure
 
 TOPIC = "/dashcam/video"
 FRAMES = 34

@@ -12,7 +12,7 @@ from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
 from roadperc_stream.tools.video_file import ReadCounts, frames_of, open_video
 from tests.tools.dump_writer import camera_pixels, document, jpeg
-from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
+from tests.tools.test_conversion import convert, failure, payloads, printed_by
 from tests.tools.video_writer import HEIGHT, WIDTH, frame_of, turned, with_times, write_video, write_with_gaps
 
 FOV = ("--fov", "90")

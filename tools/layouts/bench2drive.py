@@ -17,14 +17,13 @@ from roadperc_stream.geometry import EGO_R_OPTICAL, Float, inverse, rigid
 from roadperc_stream.input.calibrations import LIDAR, right_handed
 from roadperc_stream.model.tag_tables import classes_of_label
 
-from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.json_files import Document, Id, Listed, checked
-from ..carla_dump.layout import sensor_in
-from ..carla_dump.survey import surveyed
+from ..readers.documents import Document, Id, Listed, checked
+from ..readers.frame_stamps import stamps_of_rate
+from ..readers.sensors import sensor_in, with_headers
+from ..rig import front_rig
 from .boxes import LabelledBox, objects_of_boxes
 from .carla_files import Halves, Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
-from .drive import ConvertOptions, Drive, choose_sequence
-from .front_rig import front_rig
+from .dataset import DatasetSequence, Layout, Request
 
 _RATE_HZ: Final = 10.0
 _CARLA: Final = "0.9.15"
@@ -65,53 +64,44 @@ class _Actor(Document):
     world2ped: Matrix4 | None = None
 
 
-def detect(folder: Path) -> bool:
-    """Return True if the folder is a clip with annotations and a front camera, or holds some."""
-    return bool(folders_that(_is_clip, folder))
+def _clips(folder: Path) -> dict[str, Path]:
+    """Return the folder itself by name if it is a clip, else the clips in it."""
+    return folders_that(lambda path: (path / "anno").is_dir() and (path / "camera" / "rgb_front").is_dir(), folder)
 
 
-def read(folder: Path, options: ConvertOptions) -> Drive:
-    """Read one clip.
-
-    Raises:
-        DumpError: the folder holds no or several clips, or a file is wrong; the message names file and key.
-    """
-    options.require_only(folder, "--sequence", "--rate", "--allow-lossy-tags")
-    name, clip = choose_sequence(folder, folders_that(_is_clip, folder), options.sequence)
-    notes: list[str] = []
-    camera = clip / "camera"
+def _read(request: Request) -> DatasetSequence:
+    clip, notes, camera = request.path, request.notes, request.path / "camera"
     sensors = {role: sensor_in(camera / n, role) for role, n in _FRONT.items() if (camera / n).is_dir()}
     others = sorted(path.name for path in camera.iterdir() if path.name not in _FRONT.values())
     notes += [f"camera/ {', '.join(others)} are left out: rgb_front is the front camera"] if others else []
     notes += ["radar/ is left out"] if (clip / "radar").is_dir() else []
-    surveys = surveyed(sensors | laz_sensor(clip, set(sensors["image"].files), notes))
-    annotations = numbered(clip / "anno", "*.json.gz")
+    sensors = with_headers(sensors | laz_sensor(request, sensors["image"]))
+    annotations = {
+        number: (path, checked(path, TypeAdapter(_Annotation), read_document(path)))
+        for number, path in numbered(clip / "anno", "*.json.gz").items()
+    }
     poses: dict[int, Float] = {}
     boxes: dict[int, list[LabelledBox]] = {}
-    front: _Camera | None = None
-    for number, path in annotations.items():
-        found = checked(path, TypeAdapter(_Annotation), read_document(path))
-        front = front or found.sensors.CAM_FRONT
+    for number, (path, found) in annotations.items():
         if (world_T_ego := _ego_pose(path, found)) is not None:
             poses[number], boxes[number] = world_T_ego, list(_boxes(path, found, inverse(world_T_ego)))
-    if front is None:
+    if not annotations:
         raise DumpError(f"{clip / 'anno'}: expected annotations such as 00000.json.gz, found none")
+    path, first = next(iter(annotations.values()))
+    front = first.sensors.CAM_FRONT
+    ego_T_camera = right_handed_matrix(f"{clip}: cam2ego of CAM_FRONT", front.cam2ego)
     rig = front_rig(
-        f"{next(iter(annotations.values()))}: sensors.CAM_FRONT.intrinsic",
-        surveys["image"],
+        f"{path}: sensors.CAM_FRONT.intrinsic",
+        sensors["image"].size,
         np.array(front.intrinsic),
         "corner",
-        (
-            right_handed_matrix(f"{clip}: cam2ego of CAM_FRONT", front.cam2ego) @ rigid(EGO_R_OPTICAL, np.zeros(3)),
-            np.eye(4) if LIDAR in surveys else None,
-        ),
+        (ego_T_camera @ rigid(EGO_R_OPTICAL, np.zeros(3)), np.eye(4) if LIDAR in sensors else None),
     )
-    rate_hz = options.rate_hz or _RATE_HZ
-    return Drive(
-        folder=folder,
-        title=f"Bench2Drive, {name}",
-        surveys=surveys,
-        stamps_ns=stamps_of_rate(list(surveys["image"].sensor.files), rate_hz),
+    rate_hz = request.options.rate_hz or _RATE_HZ
+    return DatasetSequence(
+        title=f"Bench2Drive, {request.name}",
+        sensors=sensors,
+        stamps_ns=stamps_of_rate(list(sensors["image"].files), rate_hz),
         timing=f"{rate_hz:g} Hz by frame number",
         rig=rig,
         poses=poses,
@@ -119,12 +109,10 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         tag_table=_CARLA,
         grey_depth="linear grey to 255 m",
         pixel_origin="the first pixel's corner, as CARLA has it",
-        notes=tuple(notes),
     )
 
 
-def _is_clip(folder: Path) -> bool:
-    return (folder / "anno").is_dir() and (folder / "camera" / _FRONT["image"]).is_dir()
+LAYOUT: Final = Layout(_read, ("--sequence", "--rate", "--allow-lossy-tags"), _clips)
 
 
 def _ego_pose(path: Path, found: _Annotation) -> Float | None:

@@ -10,7 +10,7 @@ from roadperc_stream.geometry import Camera, Float, inverse, transform
 from roadperc_stream.model import Box, Detection, Object, Objects
 
 from ..box_view import corners_between, image_box, seen_sides, view_limits
-from ..carla_dump.truth_file import TruthTables
+from ..readers.truth_file import TruthTables
 from ..rig import FRONT, Rig
 
 _NEAR_M: Final = 0.1
@@ -32,7 +32,7 @@ def objects_of_boxes(rig: Rig, boxes: Mapping[int, Iterable[LabelledBox]]) -> Tr
     """Return the objects by frame number: all boxes of which the front camera sees a part, hidden ones too."""
     camera_T_ego = inverse(next(edge.parent_T_child for edge in rig.transforms if edge.child == FRONT))
     camera = rig.cameras["calibration"]
-    return TruthTables({}, {}, {n: Objects(tuple(_seen(camera, camera_T_ego, found))) for n, found in boxes.items()})
+    return TruthTables(objects={n: Objects(tuple(_seen(camera, camera_T_ego, b))) for n, b in boxes.items()})
 
 
 def _seen(camera: Camera, camera_T_ego: Float, boxes: Iterable[LabelledBox]) -> Iterator[Object]:

@@ -1,4 +1,8 @@
-"""Files that recorders of CARLA write: documents as JSON or Python literals, and left-handed matrices."""
+"""Files that recorders of CARLA write: documents as JSON or Python literals, and left-handed matrices.
+
+Raises everywhere:
+    DumpError: a file cannot be read, or is wrong; the message names file and line or key.
+"""
 
 import ast
 import gzip
@@ -18,9 +22,9 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.system.files import read_file
 
-from ..carla_dump.json_files import frame_number, parsed_json, pose
-from ..carla_dump.layout import Sensor
-from ..carla_dump.survey import points_fault
+from ..readers.documents import frame_number, parsed_json, pose
+from ..readers.sensors import Sensor, points_fault
+from .dataset import Request
 
 Matrix4 = tuple[Numbers4, Numbers4, Numbers4, Numbers4]
 _Half = Annotated[Number, Field(ge=0)]
@@ -34,11 +38,7 @@ _MIRROR: Final = np.diag((1.0, -1.0, 1.0, 1.0))
 
 
 def read_document(path: Path) -> Any:
-    """Return the content of a file with JSON or a Python literal, perhaps compressed with gzip.
-
-    Raises:
-        DumpError: the file cannot be read, is too large, or holds neither; the message names the line.
-    """
+    """Return the content of a file with JSON or a Python literal, perhaps compressed with gzip."""
     try:
         data = read_file(path, _MOST_BYTES)
         if path.suffix == ".gz":
@@ -79,25 +79,21 @@ def folders_that(fits: Callable[[Path], bool], folder: Path) -> dict[str, Path]:
 
 
 def right_handed_matrix(where: Path | str, matrix: Matrix4) -> Float:
-    """Return the (4, 4) right-handed transform of a matrix of ``carla.Transform.get_matrix``, or of its inverse.
-
-    Raises:
-        DumpError: it is not a rotation and a translation; the message begins with ``where``.
-    """
+    """Return the (4, 4) right-handed transform of a matrix of ``carla.Transform.get_matrix``, or of its inverse."""
     return pose(f"{where}", _MIRROR @ np.array(matrix, np.float64) @ _MIRROR)
 
 
-def laz_sensor(route: Path, frames: set[int], notes: list[str]) -> dict[str, Sensor]:
+def laz_sensor(request: Request, images: Sensor) -> dict[str, Sensor]:
     """Return the sensor of ``lidar/*.laz`` by its role, or nothing with a note about points that cannot be read."""
-    files = numbered(route / "lidar", "*.laz")
-    sensor = Sensor(LIDAR, "lidar", files)
-    if not files and not (route / "lidar").is_dir():
+    files = numbered(request.path / "lidar", "*.laz")
+    if not files and not (request.path / "lidar").is_dir():
         return {}
+    sensor = Sensor(LIDAR, "lidar", files)
     try:
-        fault = points_fault(sensor, frames) if files else "expected points as .laz"
+        fault = points_fault(sensor, set(images.files)) if files else "expected points as .laz"
     except DumpError as error:  # the library is not installed
         fault = str(error)
     if fault:
-        notes.append(f"lidar/ is left out: {fault}")
+        request.notes.append(f"lidar/ is left out: {fault}")
         return {}
     return {LIDAR: sensor}

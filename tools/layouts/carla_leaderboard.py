@@ -18,16 +18,14 @@ from roadperc_stream.geometry import Float, inverse, mounting, rigid
 from roadperc_stream.geometry.cameras import pinhole_of_fov
 from roadperc_stream.input.calibrations import LIDAR, right_handed
 
-from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.depth_files import DepthEncoding
-from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.json_files import Document, Id, Listed, checked
-from ..carla_dump.layout import Sensor, sensor_in
-from ..carla_dump.survey import SensorSurvey, surveyed
+from ..readers.depth_files import DepthEncoding
+from ..readers.documents import Document, Id, Listed, checked
+from ..readers.frame_stamps import stamps_of_rate
+from ..readers.sensors import Sensor, sensor_in, with_headers
+from ..rig import front_rig
 from .boxes import LabelledBox, objects_of_boxes
 from .carla_files import Halves, Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix
-from .drive import ConvertOptions, Drive, choose_sequence
-from .front_rig import front_rig
+from .dataset import DatasetSequence, Layout, Request
 
 
 @dataclass(frozen=True)
@@ -73,90 +71,85 @@ class _Label(Document):
     id: Id = ""
 
 
-def detect(folder: Path) -> bool:
-    """Return True if the folder is a route with images and measurements, or holds some."""
-    return bool(folders_that(_is_route, folder)) and not (folder / CALIBRATION_NAME).exists()
+def _routes(folder: Path) -> dict[str, Path]:
+    """Return the folder itself by name if it is a route, else the routes in it."""
+    return folders_that(lambda path: (path / "measurements").is_dir() and _front(path).is_dir(), folder)
 
 
-def read(folder: Path, options: ConvertOptions) -> Drive:
-    """Read one route.
+def _front(route: Path) -> Path:
+    return route / ("rgb" if (route / "rgb").is_dir() else "rgb_front")
 
-    Raises:
-        DumpError: the folder holds no or several routes, or a file is wrong; the message names file and key.
-    """
-    allowed = ("--sequence", "--rate", "--fov", "--height", "--depth-coding", "--tags", "--allow-lossy-tags")
-    options.require_only(folder, *allowed)
-    name, route = choose_sequence(folder, folders_that(_is_route, folder), options.sequence)
+
+def _read(request: Request) -> DatasetSequence:
+    route, options, notes = request.path, request.options, request.notes
     recorder = next((found for marker, found in _RECORDERS.items() if (route / marker).is_dir()), _COURSE)
-    notes: list[str] = []
-    surveys = surveyed(_sensors(route, recorder, options, notes))
-    width, height = surveys["image"].size or (1, 1)
+    sensors = with_headers(_sensors(request, recorder))
+    width, height = sensors["image"].size or (1, 1)
     if width >= _WIDE * height:
         recorder = replace(recorder, cameras=3)
-    surveys = {role: _of_one_camera(found, recorder.cameras) for role, found in surveys.items()}
+    sensors = {role: _of_one_camera(sensor, recorder.cameras) for role, sensor in sensors.items()}
     width //= recorder.cameras
     fov_deg, rate_hz = options.fov_deg or recorder.fov_deg, options.rate_hz or recorder.rate_hz
     z_m = options.height_m or recorder.z_m
     f_px = pinhole_of_fov(fov_deg, width, height)[0]
     K = np.array([(f_px, 0, width / 2), (0, f_px, height / 2), (0, 0, 1)])
-    mountings = mounting(x=recorder.x_m, z=z_m), np.eye(4) if LIDAR in surveys else None
-    rig = front_rig(f"{route}: image", surveys["image"], K, "corner", mountings)
+    mountings = mounting(x=recorder.x_m, z=z_m), np.eye(4) if LIDAR in sensors else None
+    rig = front_rig(f"{route}: image", sensors["image"].size, K, "corner", mountings)
     notes.append(
         f"assumed: level camera {recorder.x_m:g} m forward, {z_m:g} m up, {fov_deg:g} degrees, {rate_hz:g} Hz, "
         f"as in {recorder.name}; change it with --height, --fov and --rate"
     )
-    poses = _poses(route, notes)
+    poses = _poses(request)
     boxes = {
         number: list(_boxes(path, poses[number]))
         for name in ("label_raw", "boxes")
         for number, path in numbered(route / name, "*.json*").items()
         if number in poses
     }
-    return Drive(
-        folder=folder,
-        title=f"{recorder.name}, {name}",
-        surveys=surveys,
-        stamps_ns=stamps_of_rate(list(surveys["image"].sensor.files), rate_hz),
+    return DatasetSequence(
+        title=f"{recorder.name}, {request.name}",
+        sensors=sensors,
+        stamps_ns=stamps_of_rate(list(sensors["image"].files), rate_hz),
         timing=f"{rate_hz:g} Hz by frame number",
         rig=rig,
         poses=poses,
         truth=objects_of_boxes(rig, boxes),
         side_by_side=recorder.cameras,
         grey_depth=recorder.depth,
-        notes=tuple(notes),
     )
 
 
-def _is_route(folder: Path) -> bool:
-    return (folder / "measurements").is_dir() and any((folder / name).is_dir() for name in ("rgb", "rgb_front"))
+LAYOUT: Final = Layout(
+    _read, ("--sequence", "--rate", "--fov", "--height", "--depth-coding", "--tags", "--allow-lossy-tags"), _routes
+)
 
 
-def _sensors(route: Path, recorder: _Recorder, options: ConvertOptions, notes: list[str]) -> dict[str, Sensor]:
-    front = "rgb" if (route / "rgb").is_dir() else "rgb_front"
-    sensors = {"image": sensor_in(route / front, "image")}
+def _sensors(request: Request, recorder: _Recorder) -> dict[str, Sensor]:
+    route, notes, front = request.path, request.notes, _front(request.path)
+    sensors = {"image": sensor_in(front, "image")}
     for role, name in (("segmentation", "semantics"), ("depth", "depth")):
         if not (route / name).is_dir():
             continue
         if recorder.cameras > 1 and role == "depth":
             notes.append("depth/ is left out: TransFuser stores its channels in reverse order")
-        elif recorder.cameras > 1 and not options.allow_lossy_tags:
+        elif recorder.cameras > 1 and not request.options.allow_lossy_tags:
             notes.append("semantics/ is left out: lights have tags that CARLA lacks; pass --allow-lossy-tags to use it")
         else:
             sensors[role] = sensor_in(route / name, role)
     others = sorted(path.name for path in route.iterdir() if path.is_dir() and path.name not in _FOLDERS)
-    notes += [f"{', '.join(others)} are left out: {front} is the front camera"] if others else []
-    return sensors | laz_sensor(route, set(sensors["image"].files), notes)
+    notes += [f"{', '.join(others)} are left out: {front.name} is the front camera"] if others else []
+    return sensors | laz_sensor(request, sensors["image"])
 
 
-def _of_one_camera(found: SensorSurvey, cameras: int) -> SensorSurvey:
-    return replace(found, sizes={number: (width // cameras, height) for number, (width, height) in found.sizes.items()})
+def _of_one_camera(sensor: Sensor, cameras: int) -> Sensor:
+    return replace(sensor, sizes={n: (width // cameras, height) for n, (width, height) in sensor.sizes.items()})
 
 
-def _poses(route: Path, notes: list[str]) -> dict[int, Float]:
+def _poses(request: Request) -> dict[int, Float]:
     """Return odom_T_ego by frame number; odom is the left-handed plane of the measurements, mirrored."""
     poses: dict[int, Float] = {}
     is_flat = False
-    for number, path in numbered(route / "measurements", "*.json*").items():
+    for number, path in numbered(request.path / "measurements", "*.json*").items():
         found = checked(path, TypeAdapter(_Measurement), read_document(path))
         x, y = found.pos_global or (found.x, found.y)
         if found.ego_matrix is not None:
@@ -166,7 +159,7 @@ def _poses(route: Path, notes: list[str]) -> dict[int, Float]:
             is_flat = True
         else:
             raise DumpError(f"{path}: expected x and y, pos_global or ego_matrix")
-    notes += ["true poses are flat: the measurements have x, y and theta"] if is_flat else []
+    request.notes.extend(["true poses are flat: the measurements have x, y and theta"] * is_flat)
     return poses
 
 

@@ -9,13 +9,10 @@ from typing import Final
 
 from roadperc_stream.errors import DumpError
 
-from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.layout import Sensor
-from ..carla_dump.survey import surveyed
+from ..readers.frame_stamps import stamps_of_rate
+from ..readers.sensors import Sensor, with_headers
 from ..rig import build_rig
-from .drive import ConvertOptions, Drive
-from .dump import calibration_of
+from .dataset import DatasetSequence, Layout, Request
 
 _IMAGES: Final = "leftImg8bit"
 _LABELS: Final = ("gtFine", "gtCoarse")
@@ -25,18 +22,13 @@ _DEPTHS: Final = ("*/*/", "*/", "")
 _RATE_HZ: Final = 0.5
 
 
-def detect(folder: Path) -> bool:
-    """Return True if the folder has images and labels of Cityscapes."""
+def _detect(folder: Path) -> bool:
     return (folder / _IMAGES).is_dir() and any((folder / name).is_dir() for name in _LABELS)
 
 
-def read(folder: Path, options: ConvertOptions) -> Drive:
-    """Read the images; ``--sequence`` chooses those whose path below ``leftImg8bit`` begins with it.
-
-    Raises:
-        DumpError: there is no such image, or the camera has no calibration.
-    """
-    options.require_only(folder, "--sequence", "--fov", "--calibration", "--height", "--rate", "--tags")
+def _read(request: Request) -> DatasetSequence:
+    """Read the images; ``--sequence`` chooses those whose path below ``leftImg8bit`` begins with it."""
+    folder, options = request.folder, request.options
     wanted, rate_hz = options.sequence or "", options.rate_hz or _RATE_HZ
     table = options.tags or "cityscapes"
     images = [path for depth in _DEPTHS for path in sorted((folder / _IMAGES).glob(f"{depth}*_{_IMAGES}.*"))]
@@ -44,26 +36,27 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
     if not chosen:
         raise DumpError(f"{folder}: no image {_IMAGES}/{wanted or 'SPLIT/CITY/'}*_{_IMAGES}.png")
     files = dict(enumerate(chosen))
-    masks = {
-        number: mask for number, path in files.items() if (mask := _mask(folder, path, _IDS.get(table, "labelIds")))
-    }
+    ids = _IDS.get(table, "labelIds")
+    masks = {number: mask for number, path in files.items() if (mask := _mask(folder, path, ids))}
     sensors = {"image": Sensor("image", _IMAGES, files)}
-    labels = {path.relative_to(folder).parts[0]: None for path in masks.values()}
-    sensors |= {"segmentation": Sensor("segmentation", " and ".join(labels), masks)} if masks else {}
-    surveys = surveyed(sensors)
-    calibration, source = calibration_of(folder / CALIBRATION_NAME, options)
-    sizes = {role: found.size for role, found in surveys.items() if found.size}
-    rig = build_rig(calibration, source, list(surveys), sizes)
-    return Drive(
-        folder=folder,
+    if masks:
+        labels = dict.fromkeys(path.relative_to(folder).parts[0] for path in masks.values())
+        sensors["segmentation"] = Sensor("segmentation", " and ".join(labels), masks)
+    sensors = with_headers(sensors)
+    sizes = {role: sensor.size for role, sensor in sensors.items() if sensor.size}
+    rig = build_rig(*options.calibration_of(folder), list(sensors), sizes)
+    request.notes.extend((*rig.notes, "the images are unrelated"))
+    return DatasetSequence(
         title=f"Cityscapes, {wanted}" if wanted else "Cityscapes",
-        surveys=surveys,
+        sensors=sensors,
         stamps_ns=stamps_of_rate(list(files), rate_hz),
         timing=f"{rate_hz:g} Hz in the order of the names",
         rig=rig,
         tag_table=table,
-        notes=(*rig.notes, "the images are unrelated"),
     )
+
+
+LAYOUT: Final = Layout(_read, ("--sequence", "--fov", "--calibration", "--height", "--rate", "--tags"), detect=_detect)
 
 
 def _mask(folder: Path, image: Path, ids: str) -> Path | None:

@@ -11,11 +11,11 @@ from typing import Final
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 
-from ..carla_dump.frame_stamps import stamps_of_rate
-from ..carla_dump.json_files import numbers, read_lines
-from ..carla_dump.layout import sensor_in
-from .drive import ConvertOptions, Drive, choose_sequence
-from .lane_labels import FLAGS, labelled_drive
+from ..readers.documents import numbers, read_lines
+from ..readers.frame_stamps import stamps_of_rate
+from ..readers.sensors import sensor_in
+from .dataset import DatasetSequence, Layout, Request
+from .lane_labels import FLAGS, labelled_dataset
 
 _SUFFIX: Final = ".lines.txt"
 _RATE_HZ: Final = 30.0
@@ -24,27 +24,23 @@ _NAME_PARTS: Final = 3
 _DEPTHS: Final = ("", "*/", "*/*/")
 
 
-def detect(folder: Path) -> bool:
-    """Return True if the folder, or one up to two levels below it, has files of lines."""
-    return any(next(folder.glob(f"{depth}*{_SUFFIX}"), None) for depth in _DEPTHS)
-
-
-def read(folder: Path, options: ConvertOptions) -> Drive:
-    """Read one folder of frames.
-
-    Raises:
-        DumpError: there are several folders, or a file is wrong; the message names file and line.
-    """
-    options.require_only(folder, *FLAGS, "--rate")
+def _sequences(folder: Path) -> dict[str, Path]:
+    """Return the folders with files of lines up to two levels below a folder, by their path in it."""
     found = sorted({path.parent for depth in _DEPTHS for path in folder.glob(f"{depth}*{_SUFFIX}")})
-    sequences = {path.relative_to(folder).as_posix(): path for path in found}
-    name, sequence = choose_sequence(folder, sequences, options.sequence)
-    images, rate_hz = sensor_in(sequence, "image"), options.rate_hz or _RATE_HZ
+    return {path.relative_to(folder).as_posix(): path for path in found}
+
+
+def _read(request: Request) -> DatasetSequence:
+    images, rate_hz = sensor_in(request.path, "image"), request.options.rate_hz or _RATE_HZ
     labels = {number: path.with_suffix(_SUFFIX) for number, path in images.files.items()}
     lines_px = {number: _lines(path) for number, path in labels.items() if path.is_file()}
-    drive = labelled_drive(folder, options, images, lines_px, stamps_of_rate(sorted(images.files), rate_hz))
+    dataset = labelled_dataset(request, images, lines_px, stamps_of_rate(sorted(images.files), rate_hz))
     names = {number: "/".join(images.files[number].resolve().parts[-_NAME_PARTS:]) for number in lines_px}
-    return replace(drive, title=f"CULane, {name}", timing=f"{rate_hz:g} Hz by frame number", label_names=names)
+    title, timing = f"CULane, {request.name}", f"{rate_hz:g} Hz by frame number"
+    return replace(dataset, title=title, timing=timing, label_names=names)
+
+
+LAYOUT: Final = Layout(_read, (*FLAGS, "--rate"), _sequences, lambda folder: bool(_sequences(folder)))
 
 
 def _lines(path: Path) -> list[Float]:

@@ -6,7 +6,6 @@ median over the frames gives pitch and yaw of the mounting.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -16,13 +15,10 @@ from roadperc_stream.geometry import Camera, Float, mounting, rays
 from roadperc_stream.geometry.rectification import is_rectified, rectified, rectified_pixels
 from roadperc_stream.model import EGO, SIDES, Boundary, Lanes, Transform
 
-from ..carla_dump.calibration_file import CALIBRATION_NAME
-from ..carla_dump.layout import Sensor
-from ..carla_dump.survey import surveyed
-from ..carla_dump.truth_file import NO_TRUTH
+from ..readers.sensors import Sensor, with_headers
+from ..readers.truth_file import TruthTables
 from ..rig import FRONT, build_rig
-from .drive import ConvertOptions, Drive
-from .dump import calibration_of
+from .dataset import DatasetSequence, Request
 
 FLAGS: Final = ("--sequence", "--fov", "--calibration", "--height")
 Lines = Sequence[Float]
@@ -38,14 +34,13 @@ _SPREAD: Final = 0.3
 """Least difference of the lines' slopes, columns a row: nearly parallel lines have no certain vanishing point."""
 
 
-def labelled_drive(
-    folder: Path, options: ConvertOptions, images: Sensor, lines_px: Mapping[int, Lines], stamps_ns: Mapping[int, int]
-) -> Drive:
+def labelled_dataset(
+    request: Request, images: Sensor, lines_px: Mapping[int, Lines], stamps_ns: Mapping[int, int]
+) -> DatasetSequence:
     """Return the images of the front camera with the true lanes of the labelled ones.
 
     Args:
-        folder: dataset, which may have a ``calibration.json``.
-        options: options of the command line.
+        request: its folder may have a ``calibration.json``.
         images: images by number.
         lines_px: labelled lines by number, in the recorded image.
         stamps_ns: stamp by number.
@@ -53,22 +48,23 @@ def labelled_drive(
     Raises:
         DumpError: the camera has no calibration, or no image can be read.
     """
-    surveys = surveyed({"image": images})
-    calibration, path = calibration_of(folder / CALIBRATION_NAME, options)
-    rig = build_rig(calibration, path, ["image"], {role: found.size for role, found in surveys.items() if found.size})
+    sensors = with_headers({"image": images})
+    calibration, path = request.options.calibration_of(request.folder)
+    rig = build_rig(calibration, path, ["image"], {role: found.size for role, found in sensors.items() if found.size})
+    request.notes.extend(rig.notes)
     recorded = rig.cameras["calibration"]
     camera = rectified(recorded)
     if not is_rectified(recorded):
         lines_px = {k: [rectified_pixels(recorded, camera, line) for line in lines] for k, lines in lines_px.items()}
     if calibration.mounting and rig.transforms:
-        ego_T_camera, notes = rig.transforms[0].parent_T_child, rig.notes
+        ego_T_camera = rig.transforms[0].parent_T_child
     else:
         ego_T_camera, note = _mounting(camera, calibration.rgb_height_m, lines_px.values())
-        notes = (*rig.notes, note)
+        request.notes.append(note)
     rig = replace(rig, transforms=(Transform(EGO, FRONT, ego_T_camera),))
     lanes = {number: true_lanes(lines, camera, ego_T_camera) for number, lines in lines_px.items()}
-    truth = replace(NO_TRUTH, lanes={number: found for number, found in lanes.items() if found.boundaries})
-    return Drive(folder, "", surveys, stamps_ns, "", rig, truth=truth, notes=notes)
+    truth = TruthTables(lanes={number: found for number, found in lanes.items() if found.boundaries})
+    return DatasetSequence("", sensors, stamps_ns, "", rig, truth=truth)
 
 
 def _mounting(camera: Camera, height_m: float | None, frames: Iterable[Lines]) -> tuple[Float, str]:

@@ -21,13 +21,12 @@ from roadperc_stream.geometry.rotations import rotation_from_quaternion
 from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.model.tag_tables import classes_of_label
 
-from ..carla_dump.frame_stamps import mean_rate
-from ..carla_dump.json_files import Document, Listed, checked, named_file, read_json
-from ..carla_dump.layout import Sensor
-from ..carla_dump.survey import surveyed
+from ..readers.documents import Document, Listed, checked, named_file, read_json
+from ..readers.frame_stamps import mean_rate
+from ..readers.sensors import Sensor, with_headers
+from ..rig import front_rig
 from .boxes import LabelledBox, objects_of_boxes
-from .drive import ConvertOptions, Drive, choose_sequence
-from .front_rig import front_rig
+from .dataset import DatasetSequence, Layout, Request
 
 _CHANNELS: Final = {"image": "CAM_FRONT", LIDAR: "LIDAR_TOP"}
 _NEAREST_US: Final = 50_000
@@ -113,45 +112,40 @@ class _Table(dict[str, T]):
         raise DumpError(f"{self.path}: no row has the token {token!r}, which another table names")
 
 
-def detect(folder: Path) -> bool:
-    """Return True if the folder has the tables of a version."""
-    return any(folder.glob("v1.0-*/sample_data.json"))
+def _versions(folder: Path) -> dict[str, Path]:
+    return {path.parent.name: path.parent for path in sorted(folder.glob("v1.0-*/sample_data.json"))}
 
 
-def read(folder: Path, options: ConvertOptions) -> Drive:
-    """Read one scene.
+def _sequences(folder: Path) -> dict[str, Path]:
+    """Return the folder of the tables by scene, or by version if there is no table of scenes."""
+    versions = _versions(folder)
+    return {row.name: path for path in versions.values() for row in _scenes(path)} or versions
 
-    Raises:
-        DumpError: there is no such scene, or a table is wrong; the message names file, row and key.
-    """
-    options.require_only(folder, "--sequence")
-    versions = {path.parent.name: path.parent for path in sorted(folder.glob("v1.0-*/sample_data.json"))}
-    scenes = {row.name: (path, row.token) for path in versions.values() for row in _scenes(path)}
-    folders = {name: path for name, (path, _) in scenes.items()} or versions
-    name, version = choose_sequence(folder, folders, options.sequence)
+
+def _read(request: Request) -> DatasetSequence:
+    folder, version, notes = request.folder, request.path, request.notes
+    scene = next((row for row in _scenes(version) if row.name == request.name), None)
     samples = list(_Table(version, "sample", _Sample).values())
-    if name in scenes:
-        samples = [sample for sample in samples if sample.scene_token == scenes[name][1]]
-    notes: list[str] = []
+    if scene is not None:
+        samples = [sample for sample in samples if sample.scene_token == scene.token]
     data = _data(version, {sample.token for sample in samples}, notes)
-    sensors = _Table(version, "calibrated_sensor", _Calibrated)
-    mounted = {role: sensors[rows[0].calibrated_sensor_token] for role, rows in data.items()}
+    mounts = _Table(version, "calibrated_sensor", _Calibrated)
+    mounted = {role: mounts[rows[0].calibrated_sensor_token] for role, rows in data.items()}
     files = {role: {row.timestamp: folder / row.filename for row in rows} for role, rows in data.items()}
-    surveys = surveyed({role: Sensor(role, _CHANNELS[role], found) for role, found in files.items()})
+    sensors = with_headers({role: Sensor(role, _CHANNELS[role], found) for role, found in files.items()})
     poses = _Table(version, "ego_pose", _Placed)
     world_T_ego = {row.timestamp: poses[row.ego_pose_token].pose() for row in data["image"]}
     front = mounted["image"]
     rig = front_rig(
-        f"{sensors.path}: camera_intrinsic of {front.token}",
-        surveys["image"],
+        f"{mounts.path}: camera_intrinsic of {front.token}",
+        sensors["image"].size,
         np.array(front.camera_intrinsic),
         "centre",
         (front.pose(), mounted[LIDAR].pose() if LIDAR in mounted else None),
     )
-    return Drive(
-        folder=folder,
-        title=f"nuScenes, {name}",
-        surveys=surveys,
+    return DatasetSequence(
+        title=f"nuScenes, {request.name}",
+        sensors=sensors,
         stamps_ns={us: us * 1000 for us in sorted({us for found in files.values() for us in found})},
         timing=f"stamps of sample_data.json (of exposures' triggers){mean_rate([us * 1000 for us in world_T_ego])}",
         rig=rig,
@@ -159,8 +153,10 @@ def read(folder: Path, options: ConvertOptions) -> Drive:
         poses=world_T_ego,
         truth=objects_of_boxes(rig, _boxes(version, samples, world_T_ego, notes)),
         pixel_origin="the first pixel's centre, as OpenCV has it",
-        notes=tuple(notes),
     )
+
+
+LAYOUT: Final = Layout(_read, ("--sequence",), _sequences, lambda folder: bool(_versions(folder)))
 
 
 def _scenes(version: Path) -> Iterable[_Named]:

@@ -16,10 +16,10 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float
 from roadperc_stream.system.time import NS_PER_S
 
-from ..carla_dump.json_files import EPOCH_NS, Document, Listed, checked, named_file, parsed_json, read_lines
-from ..carla_dump.layout import Sensor, sensor_in
-from .drive import ConvertOptions, Drive
-from .lane_labels import FLAGS, labelled_drive
+from ..readers.documents import EPOCH_NS, Document, Listed, checked, named_file, parsed_json, read_lines
+from ..readers.sensors import Sensor, sensor_in
+from .dataset import DatasetSequence, Layout, Request
+from .lane_labels import FLAGS, labelled_dataset
 
 _LABELS: Final = ("label_data_*.json", "test_label*.json")
 _RATE_HZ: Final = 20
@@ -33,33 +33,31 @@ class _Label(Document):
     h_samples: Listed[_Pixel]
 
 
-def detect(folder: Path) -> bool:
-    """Return True if the folder has files of labels and ``clips``."""
+def _detect(folder: Path) -> bool:
     return bool(_files(folder)) and (folder / "clips").is_dir()
 
 
-def read(folder: Path, options: ConvertOptions) -> Drive:
-    """Read the labelled clips; ``--sequence`` chooses those whose path below ``clips`` begins with it.
-
-    Raises:
-        DumpError: a line is no label, or no labelled image exists; the message names file and line.
-    """
-    options.require_only(folder, *FLAGS)
-    wanted = f"{folder / 'clips' / (options.sequence or '.')}"
+def _read(request: Request) -> DatasetSequence:
+    """Read the labelled clips; ``--sequence`` chooses those whose path below ``clips`` begins with it."""
+    folder, sequence = request.folder, request.options.sequence
+    wanted = f"{folder / 'clips' / (sequence or '.')}"
     labels = {image: lines for image, lines in _labels(folder) if f"{image}".startswith(wanted)}
     clips = sorted({image.parent for image in labels})
     if not clips:
-        raise DumpError(f"{folder}: the labels name no image in clips/{options.sequence or ''}")
+        raise DumpError(f"{folder}: the labels name no image in clips/{sequence or ''}")
     files: dict[int, Path] = {}
     for place, clip in enumerate(clips):
         first = place * _EVERY_S * _RATE_HZ
         files |= {first + number: path for number, path in sorted(sensor_in(clip, "image").files.items())}
     stamps_ns = {number: EPOCH_NS + number * NS_PER_S // _RATE_HZ for number in files}
     lines_px = {number: labels[path] for number, path in files.items() if path in labels}
-    drive = labelled_drive(folder, options, Sensor("image", "clips", files), lines_px, stamps_ns)
+    dataset = labelled_dataset(request, Sensor("image", "clips", files), lines_px, stamps_ns)
     names = {number: path.relative_to(folder).as_posix() for number, path in files.items() if path in labels}
     timing = f"{_RATE_HZ} Hz in a clip, a clip every {_EVERY_S} s"
-    return replace(drive, title=f"TuSimple, clips: {len(clips)}", timing=timing, label_names=names)
+    return replace(dataset, title=f"TuSimple, clips: {len(clips)}", timing=timing, label_names=names)
+
+
+LAYOUT: Final = Layout(_read, FLAGS, detect=_detect)
 
 
 def _files(folder: Path) -> list[Path]:

@@ -5,7 +5,7 @@ import pytest
 
 from roadperc_stream.cli.convert import main
 from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, png
-from tests.tools.test_carla_to_mcap import convert, failure, payloads
+from tests.tools.test_conversion import convert, failure, payloads
 
 STEMS = ("train/aachen/aachen_000000_000019", "train/aachen/aachen_000001_000019", "val/lindau/lindau_000000_000019")
 ROAD, CAR = 7, 26

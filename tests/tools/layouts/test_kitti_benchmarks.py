@@ -8,7 +8,7 @@ from roadperc_stream.cli.replay import main as replay_main
 from tests.tools.dump_writer import camera_pixels, png
 from tests.tools.layouts.test_kitti_odometry import TR, numbers, projection, replaced
 from tests.tools.layouts.test_kitti_raw import MOVES, TURN, oxts
-from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
+from tests.tools.test_conversion import convert, failure, payloads, printed_by
 
 IMU = np.array([[1, 0, 0, -0.8], [0, 1, 0, 0.3], [0, 0, 1, -0.9]])
 CAR = "{truncated} 0 -1.6 2 3 9 8 1.5 1.8 4 0 1.65 10 -1.5707963268"

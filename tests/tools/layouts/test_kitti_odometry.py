@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli.convert import main
-from roadperc_stream.tools.carla_dump.frame_stamps import EPOCH_NS
 from roadperc_stream.tools.layouts import LAYOUTS
+from roadperc_stream.tools.readers.frame_stamps import EPOCH_NS
 from tests.tools.dump_writer import HEIGHT, WIDTH, camera_pixels, png
-from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
+from tests.tools.test_conversion import convert, failure, payloads, printed_by
 
 BASELINES_M = (0.0, 0.54, -0.06, 0.47)
 """Places of the four cameras along the rows of camera 0."""

@@ -3,7 +3,7 @@ import pytest
 
 from tests.tools.dump_writer import camera_pixels, png
 from tests.tools.layouts.test_kitti_odometry import BASELINES_M, TR, numbers, projection, replaced
-from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
+from tests.tools.test_conversion import convert, failure, payloads, printed_by
 
 NAME = "2011_09_26_drive_0009_sync"
 EARTH_M = 6_378_137.0

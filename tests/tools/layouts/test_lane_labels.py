@@ -9,10 +9,11 @@ import pytest
 from roadperc_stream.cli.convert import main
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, inverse, mounting, project, transform
-from roadperc_stream.tools.layouts import culane, layout_of, tusimple
-from roadperc_stream.tools.layouts.drive import ConvertOptions
+from roadperc_stream.tools.layouts import culane, tusimple
+from roadperc_stream.tools.layouts.dataset import ConvertOptions
+from roadperc_stream.tools.layouts.known import KNOWN
 from roadperc_stream.tools.layouts.lane_labels import true_lanes, vanishing_point
-from tests.tools.test_carla_to_mcap import payloads
+from tests.tools.test_conversion import payloads
 
 CAMERA = Camera("camera_front", 320, 180, 160.0, 160.0, 159.5, 89.5)
 """A field of view of 90 degrees."""
@@ -28,6 +29,12 @@ def line_px(offset_m, heading, curvature, camera=CAMERA, ego_T_camera=MOUNTED):
     points = np.column_stack((x, offset_m + heading * x + curvature * x**2 / 2, np.zeros_like(x)))
     found = project(camera, transform(inverse(ego_T_camera), points))
     return found[((found >= 0) & (found < camera.size[::-1])).all(axis=1)]
+
+
+def read(layout, folder, options=OPTIONS):
+    """Return the dataset of a folder, and the notes."""
+    request = layout.LAYOUT.request(folder, options)
+    return layout.LAYOUT.read(request), request.notes
 
 
 def labels():
@@ -90,38 +97,38 @@ def test_straight_lines_meet_in_the_vanishing_point():
 )
 def test_a_folder_is_detected_and_gives_true_lanes(tmp_path, make, layout, count):
     folder = make(tmp_path / "data")
-    assert layout_of(folder) is layout
-    drive = layout.read(folder, OPTIONS)
-    assert len(drive.truth.lanes) == count
-    for lanes in drive.truth.lanes.values():
+    assert next(known for known in KNOWN.values() if known.fits(folder)) is layout.LAYOUT
+    dataset, notes = read(layout, folder)
+    assert len(dataset.truth.lanes) == count
+    for lanes in dataset.truth.lanes.values():
         found = [(side.offset_m, side.heading) for side in lanes.boundaries]
         np.testing.assert_allclose(found, [(1.8, 0.0), (-1.9, 0.0)], atol=0.02)
-    np.testing.assert_allclose(drive.rig.transforms[0].parent_T_child, MOUNTED, atol=1e-3)
-    assert any("pitch 5.0" in note and "vanishing point" in note for note in drive.notes)
+    np.testing.assert_allclose(dataset.rig.transforms[0].parent_T_child, MOUNTED, atol=1e-3)
+    assert any("pitch 5.0" in note and "vanishing point" in note for note in notes)
 
 
 def test_stamps_and_sequences(tmp_path):
-    drive = tusimple.read(tusimple_folder(tmp_path / "t"), OPTIONS)
-    first = next(iter(drive.stamps_ns.values()))
-    assert [(ns - first) / 1e9 for ns in drive.stamps_ns.values()] == [0.0, 0.05, 0.95, 3.0, 3.05, 3.95]
-    one = tusimple.read(tmp_path / "t", ConvertOptions(fov_deg=90.0, sequence="0531"))
-    assert [path.parent.name for path in one.surveys["image"].sensor.files.values()] == ["7"] * 3
+    dataset, _ = read(tusimple, tusimple_folder(tmp_path / "t"))
+    first = next(iter(dataset.stamps_ns.values()))
+    assert [(ns - first) / 1e9 for ns in dataset.stamps_ns.values()] == [0.0, 0.05, 0.95, 3.0, 3.05, 3.95]
+    one, _ = read(tusimple, tmp_path / "t", ConvertOptions(fov_deg=90.0, sequence="0531"))
+    assert [path.parent.name for path in one.sensors["image"].files.values()] == ["7"] * 3
     for name in ("a/0.MP4", "b/1.MP4"):
         culane_folder(tmp_path / "c" / name)
     with pytest.raises(DumpError, match=r"expected one sequence, found a/0\.MP4, b/1\.MP4"):
-        culane.read(tmp_path / "c", OPTIONS)
-    drive = culane.read(tmp_path / "c", ConvertOptions(fov_deg=90.0, sequence="b/1.MP4"))
-    assert np.diff([*drive.stamps_ns.values()]).tolist() == [1_000_000_000] * 2
-    assert any("assumed: camera 1.5 m above the road" in note for note in drive.notes)
+        read(culane, tmp_path / "c")
+    dataset, notes = read(culane, tmp_path / "c", ConvertOptions(fov_deg=90.0, sequence="b/1.MP4"))
+    assert np.diff([*dataset.stamps_ns.values()]).tolist() == [1_000_000_000] * 2
+    assert any("assumed: camera 1.5 m above the road" in note for note in notes)
 
 
 def test_a_stated_mounting_is_used(tmp_path):
     folder = culane_folder(tmp_path / "c")
     pose = {"x": 0, "y": 0, "z": 1.4, "roll": 0, "pitch": -5, "yaw": 1}  # left-handed, as in CARLA
     (folder / "calibration.json").write_text(json.dumps({"fov_deg": 90, "mounting": {"rgb": pose}}))
-    drive = culane.read(folder, ConvertOptions())
-    np.testing.assert_allclose(drive.rig.transforms[0].parent_T_child, MOUNTED, atol=1e-9)
-    assert not any("vanishing" in note for note in drive.notes)
+    dataset, notes = read(culane, folder, ConvertOptions())
+    np.testing.assert_allclose(dataset.rig.transforms[0].parent_T_child, MOUNTED, atol=1e-9)
+    assert not any("vanishing" in note for note in notes)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +148,7 @@ def test_a_wrong_label_of_tusimple_is_named(tmp_path, line, words):
     (tmp_path / "clips").mkdir()
     (tmp_path / "label_data_0313.json").write_text(line)
     with pytest.raises(DumpError, match=words):
-        tusimple.read(tmp_path, OPTIONS)
+        read(tusimple, tmp_path)
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "1 x", "1 nan"])
@@ -149,7 +156,7 @@ def test_a_wrong_line_of_culane_is_named(tmp_path, text):
     folder = culane_folder(tmp_path / "c")
     (folder / "00030.lines.txt").write_text(f"1 2\n{text}\n")
     with pytest.raises(DumpError, match=r"00030\.lines\.txt: line 2: expected"):
-        culane.read(folder, OPTIONS)
+        read(culane, folder)
 
 
 def test_the_log_has_the_true_lanes(tmp_path):

@@ -11,7 +11,7 @@ from roadperc_stream.cli.convert import main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.report import main as report_main
 from tests.tools.dump_writer import HEIGHT, TAGS, WIDTH, alpha, camera_pixels, jpeg, png
-from tests.tools.test_carla_to_mcap import convert, failure, payloads, printed_by
+from tests.tools.test_conversion import convert, failure, payloads, printed_by
 
 AHEAD = (0.5, -0.5, 0.5, -0.5)
 UNTURNED = (1.0, 0.0, 0.0, 0.0)

@@ -15,7 +15,7 @@ from roadperc_stream.cli import convert, render
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, mounting, rigid
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
-from roadperc_stream.tools.carla_dump.depth_files import carla_metres
+from roadperc_stream.tools.readers.depth_files import carla_metres
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m
 from tests.scenes import scene_of
 
