@@ -17,7 +17,7 @@ from roadperc_stream.formats.images import encode_indices, encode_jpeg, encode_p
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
+from roadperc_stream.input.replaced import first_latched, with_recorded
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, Metadata
@@ -32,6 +32,7 @@ from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 from .corruptions.draw import Draw
 from .corruptions.levels import LEVELS
 from .corruptions.sensors import CONTENTS, DELIVERIES
+from .log_copy import copy_records
 from .recording import JPEG_QUALITY, channel_of
 
 _SENSORS: Final[tuple[Kind, ...]] = ("image", "tags", "instances", "depth", "points", "detections")
@@ -217,15 +218,7 @@ def _encoded(job: Degradation, item: Stamped, content: Any) -> bytes:
 
 def _describe(job: Degradation, target: LogWriter) -> None:
     """Copy attachments and metadata, and record the corruptions."""
-    for attachment in job.summary.attachments:
-        if attachment.name not in record.OWN_ATTACHMENTS:
-            target.attach(attachment)
-    cfg = with_recorded(ReplayConfig(), job.summary.attachments, job.summary.path)
-    for attachment in attachments_about_log(cfg):
-        target.attach(attachment)
-    for metadata in job.summary.metadata:
-        if metadata.name != record.METADATA_RECORD:
-            target.describe(metadata)
+    copy_records(job.summary, target, with_recorded(ReplayConfig(), job.summary.attachments, job.summary.path))
     values = {name: str(severity) for name, severity in job.severities.items()}
     values |= {record.SEED_KEY: str(job.seed), record.VERSION_KEY: __version__}
     target.describe(Metadata(record.DEGRADATION_RECORD, tuple(values.items())))

@@ -16,7 +16,7 @@ from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.calibrations import calibration_role
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
-from roadperc_stream.input.replaced import attachments_about_log, first_latched, with_recorded
+from roadperc_stream.input.replaced import first_latched, with_recorded
 from roadperc_stream.input.roles import assignment_of_log
 from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.input.topics import fits
@@ -33,6 +33,7 @@ from roadperc_stream.system.threads import in_order, one_thread, usable_cores
 
 from .conversion import recording_of, write
 from .layouts.dataset import ConvertOptions
+from .log_copy import copy_records
 from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
@@ -215,17 +216,9 @@ def _encoded(job: InferenceJob, item: Stamped, result: Inferred) -> Iterator[tup
 
 def _describe(job: InferenceJob, target: LogWriter) -> None:
     """Copy attachments and metadata, and record the networks."""
-    summary, values = job.summary, {record.VERSION_KEY: __version__}
-    for attachment in summary.attachments:
-        if attachment.name not in record.OWN_ATTACHMENTS:
-            target.attach(attachment)
-    for attachment in attachments_about_log(job.cfg):
-        target.attach(attachment)
-    for metadata in summary.metadata:
-        if metadata.name == record.NETWORKS_RECORD:
-            values = {**dict(metadata.values), **values}
-        elif metadata.name != record.METADATA_RECORD:
-            target.describe(metadata)
+    copy_records(job.summary, target, job.cfg, without=record.NETWORKS_RECORD)
+    before = (item.values for item in job.summary.metadata if item.name == record.NETWORKS_RECORD)
+    values = {key: value for pairs in before for key, value in pairs} | {record.VERSION_KEY: __version__}
     for role, loaded in job.pair.by_role.items():
         values |= {
             f"{role}.network": loaded.network.model_path.name,

@@ -15,7 +15,6 @@ import polars as pl
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
-from tests import course
 from tests.accuracy.drives import Drive, Excerpt, make_logs
 from tests.accuracy.scenarios import Scenario
 from tests.accuracy.values import Tables
@@ -128,9 +127,6 @@ def recording(source, folder):
     if isinstance(source, Excerpt):
         dump = folder / f"{path.name}-{source.step}"
         path, rate = dump, ("--rate", f"{source.write(dump):g}")
-    elif (path / "left.png").exists():
-        course.write_dump(path, folder / f"{path.name}-dump")
-        path = folder / f"{path.name}-dump"
     if convert.main([str(path), f"{dump}.mcap", "--quiet", "--force", *rate]) != 0:
         raise RuntimeError(f"{dump.name} cannot be converted")
     return Path(f"{dump}.mcap")
@@ -143,7 +139,6 @@ def replay(scenario, log, seed, folder):
     options = ["--quiet", "--force", "--results-only"]
     options += ["--only", scenario.only] if scenario.only else []
     options += [word for setting in scenario.settings for word in ("--set", setting)]
-    options += ["--template", scenario.template] if scenario.template else []
     errors = io.StringIO()
     with contextlib.redirect_stderr(errors):
         code = replay_main([str(log), str(target), *options])

@@ -3,7 +3,6 @@
 import os
 from dataclasses import dataclass
 
-from tests import course
 from tests.accuracy.drives import ROOT, Drive, Excerpt, Noise, drive
 from tests.conftest import DEFAULT_DATA
 
@@ -29,7 +28,6 @@ class Scenario:
     noise: Noise = CLEAN
     only: str = ""
     settings: tuple[str, ...] = ()
-    template: str = ""
 
 
 def replays(drives, noise, only, name="{}"):
@@ -86,7 +84,6 @@ ONE_BY_ONE = replays(
     TAGS,
     LANES,
 )
-COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
 
 ROADS = {"hill": drive("hill", scene="hill", rate_hz=2.0, seconds=8.0), "bend": BEND, "sample": SAMPLE}
 BY_MODEL = {
@@ -126,19 +123,6 @@ TILTED = replays(
     TAGS,
     MOTION,
 )
-AT_WIDE_BASELINES = {
-    features: tuple(
-        Scenario(
-            f"wide-turn-{side}, {features}",
-            drive(f"wide-turn-{side}", scene="town", turn=side, rate_hz=2.0, seconds=12.0, speed_mps=5.0),
-            CLEAN,
-            MOTION,
-            (f"odometry.features={features}",),
-        )
-        for side in ("left", "right")
-    )
-    for features in ("klt", "orb")
-}
 EXPOSURES = {
     kind: (
         Scenario(
@@ -191,10 +175,6 @@ UNTAGGED = {
     ),
     "KITTI": (Scenario("kitti object", f"{DATA}/kitti_object", **WITHOUT_TAGS),),
 }
-COURSE_OBSTACLE = (
-    Scenario("course obstacle", f"{DATA}/course_stereo", settings=course.SETTINGS, template=course.TEMPLATE),
-)
-
 TURNING = (Scenario("turn", drive("turn", scene="town", turn="right", path_truth=True, seconds=6.0), MODEST, OBJECTS),)
 MERGING = (
     Scenario("merge", drive("merge", scene="bend", lane="merges", path_truth=True, seconds=8.0), MODEST, OBJECTS),

@@ -93,13 +93,6 @@ def test_the_chosen_model_is_compared_with_the_better_one(auto, met):
     assert found == Measured(f"10.00 / 2.00 / {100 * auto:.2f} cm", "100.0 %", met)
 
 
-def test_lost_frames_count_where_other_settings_give_the_step():
-    own = frames(odometry_status=["lost", "lost", "tracked"])
-    errors = {"step_error_m": [0.05, 0.2, None], "true_step_m": [1.0, 1.0, 1.0]}
-    other = frames(odometry_status=["tracked", "tracked", "lost"], **errors)
-    assert values.lost_where_others_track(own, other).text == "1 of 1 frames (lost: 66.7 %, 33.3 %)"
-
-
 def test_precision_and_recall_use_sums_over_frames():
     tables = frames(filter_tp=[8, 1], filter_fp=[1, 0], filter_fn=[0, 1])
     assert values.precision(tables) == values.recall(tables) == Value(0.9, 1.0)

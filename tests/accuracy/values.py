@@ -19,10 +19,6 @@ CROSSING_NS = 300_000_000
 """Within this time of a crossing the car's own lane is ambiguous, so frames do not count."""
 RESAMPLES, LEVEL = 2000, 0.95
 SLACK = 1.1
-TRACKS = 0.1
-"""Largest error of a step, as a share of it, with which a frame counts as tracked."""
-COURSE_PLACE_PX, COURSE_DISTANCE_M = (547, 479), 28.926553672316352
-"""Position and distance of the obstacle in the public solutions of the course."""
 
 
 @dataclass(frozen=True)
@@ -137,12 +133,6 @@ def points_right(tables):
     return Value(scores.fill_null(0.0).mean(), scores.count() / len(scores))
 
 
-def off_own_line(tables):
-    """Distance in cm of the last frame's left boundary from the line measured in its image."""
-    last = tables.frames.row(-1, named=True)
-    return Value(100 * abs(last["lane_left_offset_m"] - last["lane_left_raw_offset_m"]))
-
-
 # Surface and motion
 
 
@@ -193,21 +183,6 @@ def steps_beyond(tables):
 def lost(tables):
     """Share of frames without a motion, in percent."""
     return _share(tables.frames["odometry_status"].eq_missing("lost"))
-
-
-def lost_where_others_track(own, other):
-    """Frames that are lost although other settings give their step; met if there are none."""
-    right = (other.frames["step_error_m"] < TRACKS * other.frames["true_step_m"]).fill_null(value=False)
-    missed = (own.frames["odometry_status"].eq_missing("lost") & right).sum()
-    both = ", ".join(f"{lost(tables).number:.1f} %" for tables in (own, other))
-    return Measured(f"{missed} of {right.sum()} frames (lost: {both})", "", missed == 0)
-
-
-def as_exact(own, other):
-    """Median errors of steps with both settings; met if the first one is at most SLACK times the second."""
-    errors = step_error(own), step_error(other)
-    text = " / ".join(f"{error.number:.2f}" for error in errors)
-    return Measured(f"{text} %", percent(errors[0].coverage), errors[0].number <= SLACK * errors[1].number)
 
 
 def end_error(tables):
@@ -322,23 +297,6 @@ def _share_of_distances(rows, flag):
     known = rows.drop_nulls("distance_m")
     coverage = known.height / rows.height if rows.height else None
     return _share(known.select(flag).to_series(), coverage, f"{known.height} distances")
-
-
-def obstacle_off(tables):
-    """Distance error in mm of the course's obstacle; the detail gives its position."""
-    found = _obstacle(tables)
-    place = f"at ({found['x_min_px']:.0f}, {found['y_min_px']:.0f}), {found['distance_m']:.4f} m"
-    return Value(1000 * abs(found["distance_m"] - COURSE_DISTANCE_M), None, place)
-
-
-def obstacle_place_off(tables):
-    """Error in pixels of the obstacle's position in the image."""
-    found = _obstacle(tables)
-    return Value(max(abs(found["x_min_px"] - COURSE_PLACE_PX[0]), abs(found["y_min_px"] - COURSE_PLACE_PX[1])))
-
-
-def _obstacle(tables):
-    return tables.objects.filter(pl.col("label") == "template").row(0, named=True)
 
 
 def precision(tables):

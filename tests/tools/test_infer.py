@@ -107,15 +107,6 @@ def messages(path):
     return found
 
 
-def test_detections_that_no_class_can_judge_are_kept_and_counted(drive):
-    paths = [str(drive / name) for name in ("out.mcap", "replayed.mcap")]
-    assert replay.main([*paths, "--only", "objects", "--quiet"]) == 0
-    rows = pl.read_parquet(drive / "replayed.metrics.parquet")
-    assert rows["detections"].min() >= 2
-    assert rows["detections_kept"].to_list() == rows["detections"].to_list() == rows["detections_unjudged"].to_list()
-    assert pl.read_parquet(drive / "replayed.objects.parquet")["class_ratio"].null_count() == rows["detections"].sum()
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -1,8 +1,6 @@
 """Measure programs from outside, in particular replays with this version or another one."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -46,23 +44,16 @@ class Cost:
 
 
 def cost_of(name: str, command: Sequence[str]) -> Cost:
-    """Run a program without its stdout and measure it; an interrupt also ends the program.
+    """Run a program without its stdout and measure it.
 
     Raises:
         ProgramError: the program fails; the message contains ``name``.
     """
     starter_command = [sys.executable, "-I", "-S", "-c", _STARTER, *command]
-    with subprocess.Popen(
-        starter_command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, process_group=0
-    ) as starter:
-        try:
-            printed, _ = starter.communicate()
-        except BaseException:
-            os.killpg(starter.pid, signal.SIGTERM)
-            raise
-    if starter.returncode:
+    started = subprocess.run(starter_command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, check=False)
+    if started.returncode:
         raise ProgramError(f"{name} could not be started")
-    code, wall_s, cpu_s, peak = json.loads(printed)
+    code, wall_s, cpu_s, peak = json.loads(started.stdout)
     if code:
         raise ProgramError(f"{name} ended with exit code {code}")
     return Cost(wall_s, cpu_s, peak * _KIB / 1e6)

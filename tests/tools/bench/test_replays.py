@@ -1,6 +1,5 @@
 """Measure programs and replays from outside."""
 
-import signal
 import sys
 
 import pytest
@@ -8,7 +7,6 @@ import pytest
 from roadperc_stream.errors import ProgramError
 from roadperc_stream.tools.bench.inputs import BenchLog
 from roadperc_stream.tools.bench.replays import cost_of, replay_cost
-from tests.batch.machines import wait_until
 
 pytestmark = pytest.mark.long
 
@@ -28,6 +26,8 @@ def test_a_replay_that_fails_is_an_error(tmp_path):
     missing = BenchLog("png", *(tmp_path / f"{part}.mcap" for part in ("in", "warm-up", "first")), 4)
     with pytest.raises(ProgramError, match="replay png ended with exit code 1"):
         replay_cost("replay png", missing, tmp_path / "out.mcap", 1)
+    with pytest.raises(ProgramError, match="the missing one could not be started"):
+        cost_of("the missing one", ["/no/such/program"])
 
 
 def test_memory_and_time_are_those_of_the_program_and_its_text_is_dropped(capfd):
@@ -39,37 +39,3 @@ def test_memory_and_time_are_those_of_the_program_and_its_text_is_dropped(capfd)
     assert large.cpu_s > 0
     assert large.wall_s > 0
     assert capfd.readouterr().out == ""
-
-
-def test_a_program_that_does_not_exist_is_named(capfd):
-    with pytest.raises(ProgramError, match="the missing one could not be started"):
-        cost_of("the missing one", ["/no/such/program"])
-
-
-PROGRAM = """
-import pathlib, signal, sys, time
-folder = pathlib.Path(sys.argv[1])
-def end(*_):
-    (folder / "ended").touch()
-    sys.exit()
-signal.signal(signal.SIGTERM, end)
-(folder / "started").touch()
-time.sleep(600)
-"""
-
-
-def test_an_interrupt_ends_the_program(tmp_path):
-    def interrupt_once_it_runs(*_):
-        if (tmp_path / "started").exists():
-            raise KeyboardInterrupt
-        signal.setitimer(signal.ITIMER_REAL, 0.1)
-
-    before = signal.signal(signal.SIGALRM, interrupt_once_it_runs)
-    signal.setitimer(signal.ITIMER_REAL, 0.1)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            cost_of("long", [sys.executable, "-c", PROGRAM, str(tmp_path)])
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-    wait_until((tmp_path / "ended").exists, 30)

@@ -2,7 +2,6 @@
 
 import re
 
-import polars as pl
 import pytest
 
 from roadperc_stream.eval.configurations import Group
@@ -22,14 +21,6 @@ def test_both_ways_read_the_same_values(tmp_path):
         assert statistic.total / statistic.values == pytest.approx(means)
         assert statistic.median == pytest.approx(medians)
         assert 0.85 < summary.coverage("step_error_m") < 0.95
-
-
-def test_tables_are_kept(tmp_path):
-    write_dataset(tmp_path, 1, 10)
-    (path,) = tmp_path.glob("metrics/*/*.parquet")
-    pl.read_parquet(path).head(3).write_parquet(path)
-    write_dataset(tmp_path, 2, 10)
-    assert sorted(pl.read_parquet(path).height for path in tmp_path.glob("metrics/*/*.parquet")) == [3, 10]
 
 
 @pytest.mark.long
