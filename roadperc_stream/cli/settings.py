@@ -114,7 +114,10 @@ def as_page() -> str:
         lines += ["| setting | default | range | meaning |", "|---|---|---|---|"]
         lines += [*(_row(setting) for setting in settings if not setting.name.startswith("implementation")), ""]
     lines += ["## Classes\n\n```text", textwrap.fill(", ".join(_CLASS_NAMES), _WIDEST), "```\n", _LABELS_HEAD]
-    lines += [f"| `{label}` | {', '.join(classes)} |" for label, classes in sorted(LABEL_CLASSES.items())]
+    labels: dict[str, list[str]] = {}
+    for label, classes in sorted(LABEL_CLASSES.items()):
+        labels.setdefault(", ".join(classes), []).append(f"`{label}`")
+    lines += [f"| {', '.join(names)} | {classes} |" for classes, names in labels.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -116,8 +116,8 @@ class TrueLaneColumns:
     lane_right_true_boundary_class: Annotated[str | None, _TRUE_CLASS] = None
 
 
-def _culane(what: str, threshold: str) -> Column:
-    return Column(f"{what} at an overlap above {threshold}, lines drawn 30 px wide", COUNT)
+def _culane(meaning: str) -> Column:
+    return Column(f"{meaning} at an overlap above 0.5 or 0.3, lines drawn 30 px wide", COUNT)
 
 
 @dataclass(frozen=True)
@@ -153,12 +153,12 @@ class LaneScoreColumns:
         float | None,
         _score("unmatched true lanes / true lanes", RATIO, "", "missed lanes (TuSimple)", 3, limit=0.4, relevant=0.01),
     ] = None
-    lane_culane_tp_50: Annotated[int | None, _culane("true positives", "0.5")] = None
-    lane_culane_fp_50: Annotated[int | None, _culane("false positives", "0.5")] = None
-    lane_culane_fn_50: Annotated[int | None, _culane("false negatives", "0.5")] = None
-    lane_culane_tp_30: Annotated[int | None, _culane("true positives", "0.3")] = None
-    lane_culane_fp_30: Annotated[int | None, _culane("false positives", "0.3")] = None
-    lane_culane_fn_30: Annotated[int | None, _culane("false negatives", "0.3")] = None
+    lane_culane_tp_50: Annotated[int | None, _culane("true positives")] = None
+    lane_culane_fp_50: Annotated[int | None, _culane("false positives")] = None
+    lane_culane_fn_50: Annotated[int | None, _culane("false negatives")] = None
+    lane_culane_tp_30: Annotated[int | None, _culane("true positives")] = None
+    lane_culane_fp_30: Annotated[int | None, _culane("false positives")] = None
+    lane_culane_fn_30: Annotated[int | None, _culane("false negatives")] = None
 
 
 @dataclass(frozen=True)
