@@ -36,7 +36,7 @@ def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], clips: Clip
     failed = 0
     for event in events:
         try:
-            run = runs[event.log_id, event.config].table_of(event.first_frame)
+            run = runs[event.key].table_of(event.first_frame)
             for note in _write(event, run, clips):
                 print_line(f"note: {event.clip}: {note}")
         except RoadpercError as error:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,7 +15,9 @@ from roadperc_stream.system.time import NS_PER_S, ns_to_seconds, seconds_to_ns
 
 from ..dataset.keys import LOG
 from ..dataset.reading import reading_files
+from ..dataset.worst import LogKey
 from ..expressions import on_empty_rows, parsed, similar
+from ..runs import Run
 from ..scan import SEGMENT
 
 OBJECTS: Final = "objects."
@@ -49,6 +52,11 @@ class Event:
     clip: str | None
 
     @property
+    def key(self) -> LogKey:
+        """The log and the configuration."""
+        return self.log_id, self.config
+
+    @property
     def seconds(self) -> float:
         """From the first frame to the last."""
         return ns_to_seconds(self.last_ns - self.first_ns)
@@ -65,16 +73,21 @@ class Clips:
 
 
 @dataclass(frozen=True)
-class Searched:
-    """The tables to search; ``files`` are those of the frames.
+class Logs:
+    """The logs to search: their tables, and how to name a log, to show a frame of it, and to open its runs.
 
     ``frames`` and ``objects`` scan some of the columns, or all columns for None. All rows have ``LOG`` and ``frame``.
-    ``objects`` is None without tables of objects.
+    ``objects`` is None without tables of objects. ``files`` are the tables of the frames. ``absent`` are the logs and
+    configurations whose files other logs have replaced.
     """
 
     frames: Callable[[Sequence[str] | None], pl.LazyFrame]
     objects: Callable[[Sequence[str] | None], pl.LazyFrame] | None
     files: Sequence[str]
+    absent: pl.DataFrame
+    name: Callable[[LogKey], str]
+    command: Callable[[LogKey, int], str]
+    runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
 
     def schema(self) -> dict[str, pl.DataType]:
         """The columns of the frames, and those of the objects with ``OBJECTS`` before the name."""
@@ -131,7 +144,7 @@ def _require_condition(text: str, rule: pl.Expr, schema: dict[str, pl.DataType])
         raise TableError(f"{text}: is {kind}, expected a condition on columns{quotes}")
 
 
-def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataType]) -> pl.DataFrame:
+def matches(logs: Logs, condition: Condition, schema: dict[str, pl.DataType]) -> pl.DataFrame:
     """The frames that fulfil a condition, with ``LOG``, ``SEGMENT``, ``stamp_ns``, and the ``value`` of the peak.
 
     A condition on objects is joined by log and frame: a row for each object with which the frame fulfils it. A frame
@@ -143,16 +156,16 @@ def matches(searched: Searched, condition: Condition, schema: dict[str, pl.DataT
     wanted = {*LOG, *_PLACES, condition.peak, *condition.rule.meta.root_names()}
     own = [name for name in schema if name in wanted and not name.startswith(OBJECTS)]
     joined = [name.removeprefix(OBJECTS) for name in wanted if name.startswith(OBJECTS)]
-    rows = searched.frames(own).select(own)
-    if joined and searched.objects:
+    rows = logs.frames(own).select(own)
+    if joined and logs.objects:
         named = [pl.col(name).alias(f"{OBJECTS}{name}") for name in joined]
-        rows = rows.join(searched.objects((*_FRAME, *joined)).select(*_FRAME, *named), on=_FRAME, how="left")
+        rows = rows.join(logs.objects((*_FRAME, *joined)).select(*_FRAME, *named), on=_FRAME, how="left")
     value = (pl.col(condition.peak) if condition.peak else pl.lit(None)).cast(pl.Float64).alias("value")
     found = rows.filter(condition.rule).select(*LOG, SEGMENT, "frame", "stamp_ns", value)
-    with reading_files(searched.files):
+    with reading_files(logs.files):
         table = found.collect(engine="streaming")
     if nameless := [name for name in (*LOG, "frame", "stamp_ns") if table[name].null_count()]:
-        raise TableError(f"{searched.files[0]} or another table: has rows without {nameless[0]}; replay the log again")
+        raise TableError(f"{logs.files[0]} or another table: has rows without {nameless[0]}; replay the log again")
     return table
 
 

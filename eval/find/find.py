@@ -1,7 +1,7 @@
 """Finds events in the logs of a dataset, or of runs: prints a table, and writes JSON and excerpts of the logs."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +25,7 @@ from ..frames import runs_of_keys
 from ..results import require_result, write_json
 from ..runs import Run
 from ..scan import objects_of, rows_of
-from .events import Clips, Condition, Event, Searched, condition_of, events_of, matches
+from .events import Clips, Condition, Event, Logs, condition_of, events_of, matches
 
 _LISTED: Final = 40
 """Events in the table."""
@@ -45,20 +45,6 @@ class Query:
     least_s: float = 0.0
 
 
-@dataclass(frozen=True)
-class _Place:
-    """The logs to search: their tables, and how to name a log, to show a frame of it, and to find its runs.
-
-    ``absent`` are the logs and configurations whose files other logs have replaced.
-    """
-
-    tables: Searched
-    absent: pl.DataFrame
-    name: Callable[[LogKey], str]
-    command: Callable[[LogKey, int], str]
-    runs: Callable[[Sequence[LogKey], ExitStack], dict[LogKey, Run]]
-
-
 def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> None:
     """Print the events of a condition in a dataset or in runs; write them as JSON, and excerpts of the logs.
 
@@ -67,12 +53,12 @@ def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> N
         RoadpercError: a file cannot be written, or a log cannot be read or replayed.
     """
     dataset = dataset_at(source)
-    place = _of_dataset(dataset) if dataset else _of_runs(find_joined([source]).runs)
-    schema = place.tables.schema()
+    logs = _of_dataset(dataset) if dataset else _of_runs(find_joined([source]).runs)
+    schema = logs.schema()
     condition = condition_of(query.condition, query.peak, schema)
-    found = matches(place.tables, condition, schema).join(place.absent, on=LOG, how="anti")
+    found = matches(logs, condition, schema).join(logs.absent, on=LOG, how="anti")
     rows = events_of(found, query.gap_s, query.least_s, lowest=condition.lowest)
-    events = [_event(row, place, clips.folder if clips else None) for row in rows.iter_rows(named=True)]
+    events = [_event(row, logs, clips.folder if clips else None) for row in rows.iter_rows(named=True)]
     if json:
         of_events = [vars(event) | {"seconds": event.seconds} for event in events]
         values = {"condition": query.condition, "peak": condition.peak, "events": of_events}
@@ -82,22 +68,18 @@ def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> N
         from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
 
         with ExitStack() as files:
-            write_clips(events, place.runs(list(dict.fromkeys(map(_key, events))), files), clips)
+            write_clips(events, logs.runs(list(dict.fromkeys(event.key for event in events)), files), clips)
 
 
-def _key(event: Event) -> LogKey:
-    return event.log_id, event.config
-
-
-def _event(row: Mapping[str, Any], place: _Place, clips: Path | None) -> Event:
+def _event(row: Mapping[str, Any], logs: Logs, clips: Path | None) -> Event:
     key = row["log_id"], row["config"]
-    name = place.name(key)
+    name = logs.name(key)
     clip = shown(f"{name}-{row['first_frame']}.mcap").replace("/", "_").replace(" ", "_")
-    command = place.command(key, row["peak_frame"])
+    command = logs.command(key, row["peak_frame"])
     return Event(log=name, **row, command=command, clip=str(clips / clip) if clips else None)
 
 
-def _of_dataset(dataset: Dataset) -> _Place:
+def _of_dataset(dataset: Dataset) -> Logs:
     files = metrics_files(dataset)
     if not files:
         raise TableError(f"{dataset.address}: {NO_TABLES}")
@@ -115,8 +97,10 @@ def _of_dataset(dataset: Dataset) -> _Place:
         local = replace(stack.enter_context(in_a_folder(dataset)), copy_of=dataset.address)
         return runs_of_keys(local, runs, keys, names)
 
-    return _Place(
-        Searched(partial(scan_tables, files), partial(scan_tables, objects) if objects else None, files),
+    return Logs(
+        partial(scan_tables, files),
+        partial(scan_tables, objects) if objects else None,
+        files,
         without_file(runs).select(LOG),
         lambda key: " ".join((names.get(key[0], key[0]), *([key[1]] if several else []))),
         command,
@@ -124,19 +108,17 @@ def _of_dataset(dataset: Dataset) -> _Place:
     )
 
 
-def _of_runs(runs: Sequence[Run]) -> _Place:
+def _of_runs(runs: Sequence[Run]) -> Logs:
     """The logs of runs; the name of a run takes the place of its ``log_id``."""
     named = {run.name: run for run in runs}
     none = pl.lit("").alias("config")
     frames = [rows_of(run).with_columns(none, log_id=pl.lit(run.name)) for run in runs]
     tables = [objects_of(run.name, table, table.objects) for run in runs for table in run.tables if table.objects]
     objects = [rows.with_columns(none, log_id=pl.col("log")).drop("log") for rows in tables]
-    return _Place(
-        Searched(
-            lambda _: pl.concat(frames, how="diagonal_relaxed"),
-            (lambda _: pl.concat(objects, how="diagonal_relaxed")) if objects else None,
-            [str(table.path) for run in runs for table in run.tables],
-        ),
+    return Logs(
+        lambda _: pl.concat(frames, how="diagonal_relaxed"),
+        (lambda _: pl.concat(objects, how="diagonal_relaxed")) if objects else None,
+        [str(table.path) for run in runs for table in run.tables],
         pl.DataFrame(schema=dict.fromkeys(LOG, pl.String)),
         lambda key: key[0],
         lambda key, frame: view_command(named[key[0]], frame),

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.config import load_config
-from roadperc_stream.output.terminal import console_for, frame_progress, print_lines, print_table
+from roadperc_stream.output.terminal import console_for, frame_progress
 from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.system.files import METRICS_SUFFIX
 from roadperc_stream.system.text import print_line
@@ -96,7 +96,7 @@ def _jobs(logs: Sequence[Path], options: SweepOptions, made: Sequence[Combinatio
 def _print(options: SweepOptions, files: ResultFiles, made: Sequence[Combination], reference: Combination) -> None:
     """Print the best settings or the effect of corruptions, and write them to the files for other programs."""
     folder = options.out
-    console, tables_found = console_for(sys.stdout), sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
+    tables_found = sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
     judged = [metric for metric in METRICS if not (options.degraded and metric.noise)]
     found = [(metric, scores(tables_found, made, metric)) for metric in judged]
     heading = f"{len(tables_found)} tables in {folder}: {len(made)} settings, reference {reference}"
@@ -114,12 +114,10 @@ def _print(options: SweepOptions, files: ResultFiles, made: Sequence[Combination
         tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
         idle = [f"{key} changed nothing" for key in without_influence(folder, tables_found, made)]
         notes = [*idle, without_effect(found), *LEGEND]
-    cases, lines = [_case(scored, made, reference) for scored in found], [note for note in notes if note]
-    Results("sweep", f"Sweep: {heading}", lines, tables, values=as_json, cases=cases).write(files)
-    print_lines(console, heading, *taken, unbroken=True)
-    for table in tables:
-        print_table(console, table)
-    print_lines(console, "", *notes)
+    cases, tail = [_case(scored, made, reference) for scored in found], list(filter(None, notes))
+    results = Results("sweep", f"Sweep: {folder}", (heading, *taken), tables, tail, as_json, cases)
+    results.write(files)
+    results.print(console_for(sys.stdout))
 
 
 def best_settings(found: Sequence[Scored], made: Sequence[Combination], reference: Combination) -> Table:

@@ -2,11 +2,12 @@
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.terminal import console_for, print_lines, print_parts
+from roadperc_stream.output.terminal import console_for
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.system.text import number
 
@@ -27,6 +28,114 @@ _ALIGNED: Final[Mapping[Alignment, str]] = {
 }
 
 _EACH: Final = ", each segment of the log separately"
+
+
+def trajectories(
+    names: Sequence[str],
+    alignment: Alignment | None,
+    delta: Delta,
+    exports: Mapping[PoseFormat, Path],
+    files: ResultFiles,
+) -> None:
+    """Print the errors of runs' trajectories, write them to files for other programs, and export the poses.
+
+    ``exports`` are the folders of the poses in each format.
+    A line names each run without a trajectory; it is an error if no run has one.
+
+    Raises:
+        TableError: an argument names no run, or no run has a trajectory.
+        TargetError: a file cannot be written.
+    """
+    found = find_joined(names)
+    evaluated: list[Evaluation] = []
+    refused: dict[str, TableError] = {}
+    exported = False
+    for item in found.runs:
+        try:
+            poses = read_poses(item)
+            for kind, folder in exports.items():
+                export(folder, poses, kind)
+                exported = True
+            evaluated.append(evaluate(poses, alignment, delta))
+        except TableError as error:
+            refused[item.name] = error
+    if not evaluated and not exported:
+        raise next(iter(refused.values()))
+    console = console_for(sys.stdout)
+    skipped = {name: str(error) for name, error in refused.items()}
+    short = short_names([item.run.name for item in evaluated], name_columns(console))
+    results = _results(evaluated, (*found.notes, *skipped.values()), short)
+    cases = [*results.cases, *(Case(name, "trajectory", "skipped", error) for name, error in skipped.items())]
+    results = replace(results, values={**results.values, "skipped": skipped}, cases=cases)
+    results.write(files)
+    results.print(console)
+
+
+def _results(evaluated: Sequence[Evaluation], notes: Sequence[str], names: Mapping[str, str]) -> Results:
+    """The statistics of one run, or a row for each of several; ``notes`` come first, ``names`` are short."""
+    values = {"runs": {item.run.name: _as_json(item) for item in evaluated}}
+    cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
+    head, tail, tables = [*notes], list[str](), list[Table]()
+    if len(evaluated) == 1:
+        head += _facts(evaluated[0])
+        tables = [_error_table(evaluated[0]), _stretch_table(evaluated[0])]
+    elif evaluated:
+        head.append(f"{len(evaluated)} runs")
+        tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)]
+        tail = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
+    return Results("trajectory", "Trajectories", head, tables, tail, values, cases)
+
+
+def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """The errors of a run's trajectory in a line and for other programs; both are empty without poses to compare."""
+    try:
+        found = evaluate(read_poses(run), None, Delta(1, "frames"))
+    except TableError:
+        return (), {}
+    line = f"trajectory: ATE {_number(found.absolute_m.rmse)} m, {_ALIGNED[found.alignment]}"
+    if lengths := [stretch.length_m or 0 for stretch in found.stretches if stretch.count]:
+        percent_off, deg_off = _segment_cells(found.together)
+        over = f"over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
+        line += f", KITTI t_err {percent_off} %, r_err {deg_off} deg/100 m {over}"
+    line = "; ".join(filter(None, (line, _without_scale(found))))
+    return (line,), {"trajectory": _as_json(found)}
+
+
+def _as_json(item: Evaluation) -> dict[str, Any]:
+    errors = {"ate_m": item.absolute_m, "rpe_m": item.relative_m, "rpe_deg": item.relative_deg}
+    return {
+        "alignment": item.alignment,
+        "frames": item.run.frames,
+        "coverage": item.run.coverage,
+        "lost": item.run.lost,
+        "driven_m": item.driven_m,
+        **{name: vars(found) for name, found in errors.items() if found is not None},
+        "kitti": {key: value for key, value in vars(item.together).items() if value is not None},
+    }
+
+
+def _body(item: Evaluation) -> str:
+    table = _side_by_side([item], {item.run.name: item.run.name})
+    return ", ".join(f"{name} {cell}" for name, cell in zip(table.headers, table.rows[0][1:], strict=True) if cell)
+
+
+def _facts(evaluation: Evaluation) -> Iterator[str]:
+    """What was evaluated, and how it was aligned."""
+    run, segments = evaluation.run, _in_segments(evaluation.run)
+    scales = listed([f"{scale:.6g}" for scale in evaluation.scales])
+    scaled = f", the estimate scaled by {scales}" if evaluation.alignment == "sim3" else ""
+    counts = f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}"
+    yield f"{run.name}: {run.frames} frames{segments}, {evaluation.driven_m:.1f} m driven"
+    yield f"{percent(run.coverage)} % have both poses: {counts}"
+    yield f"{_ALIGNED[evaluation.alignment]}{_EACH if segments else ''}{scaled}"
+    yield from filter(None, (*evaluation.left_out, _without_scale(evaluation)))
+
+
+def _notes(evaluation: Evaluation) -> Iterator[str]:
+    """Notes on one of several runs."""
+    found = _in_segments(evaluation.run)
+    segments = f"{evaluation.run.frames} frames{found}{_EACH}" if found else ""
+    yield from filter(None, (segments, *evaluation.left_out, _without_scale(evaluation)))
 
 
 def _in_segments(run: RunPoses) -> str:
@@ -112,118 +221,3 @@ def _cells(found: ErrorStatistics | None) -> list[str]:
 
 def _number(value: float | None) -> str:
     return "" if value is None else f"{value:z.4f}"
-
-
-def trajectories(
-    names: Sequence[str],
-    alignment: Alignment | None,
-    delta: Delta,
-    exports: Mapping[PoseFormat, Path],
-    files: ResultFiles,
-) -> None:
-    """Print the errors of runs' trajectories, write them to files for other programs, and export the poses.
-
-    ``exports`` are the folders of the poses in each format.
-    A line names each run without a trajectory; it is an error if no run has one.
-
-    Raises:
-        TableError: an argument names no run, or no run has a trajectory.
-        TargetError: a file cannot be written.
-    """
-    found = find_joined(names)
-    evaluated: list[Evaluation] = []
-    refused: dict[str, TableError] = {}
-    exported = False
-    for item in found.runs:
-        try:
-            poses = read_poses(item)
-            for kind, folder in exports.items():
-                export(folder, poses, kind)
-                exported = True
-            evaluated.append(evaluate(poses, alignment, delta))
-        except TableError as error:
-            refused[item.name] = error
-    if not evaluated and not exported:
-        raise next(iter(refused.values()))
-    _write(evaluated, refused, files)
-    console = console_for(sys.stdout)
-    print_lines(console, *found.notes, *map(str, refused.values()), unbroken=True)
-    if len(evaluated) == 1:
-        print_parts(console, *_one(evaluated[0]))
-    elif evaluated:
-        print_parts(console, *_several(evaluated, name_columns(console)))
-
-
-def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """The errors of a run's trajectory in a line and for other programs; both are empty without poses to compare."""
-    try:
-        found = evaluate(read_poses(run), None, Delta(1, "frames"))
-    except TableError:
-        return (), {}
-    line = f"trajectory: ATE {_number(found.absolute_m.rmse)} m, {_ALIGNED[found.alignment]}"
-    if lengths := [stretch.length_m or 0 for stretch in found.stretches if stretch.count]:
-        percent_off, deg_off = _segment_cells(found.together)
-        over = f"over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
-        line += f", KITTI t_err {percent_off} %, r_err {deg_off} deg/100 m {over}"
-    line = "; ".join(filter(None, (line, _without_scale(found))))
-    return (line,), {"trajectory": _as_json(found)}
-
-
-def _write(evaluated: Sequence[Evaluation], refused: Mapping[str, TableError], files: ResultFiles) -> None:
-    """Write the files for other programs; a run without a trajectory is skipped."""
-    names = {item.run.name: item.run.name for item in evaluated}
-    values: dict[str, Any] = {"runs": {item.run.name: _as_json(item) for item in evaluated}}
-    skipped = {name: str(error) for name, error in refused.items()}
-    tables = [_run_table(evaluated, names), _side_by_side(evaluated, names)] if evaluated else []
-    notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
-    cases = [Case(item.run.name, "trajectory", "passed", _body(item)) for item in evaluated]
-    cases += [Case(name, "trajectory", "skipped", error) for name, error in skipped.items()]
-    lines = [*notes, *skipped.values()]
-    values |= {"skipped": skipped}
-    Results("trajectory", "Trajectories", lines, tables, values=values, cases=cases).write(files)
-
-
-def _as_json(item: Evaluation) -> dict[str, Any]:
-    errors = {"ate_m": item.absolute_m, "rpe_m": item.relative_m, "rpe_deg": item.relative_deg}
-    return {
-        "alignment": item.alignment,
-        "frames": item.run.frames,
-        "coverage": item.run.coverage,
-        "lost": item.run.lost,
-        "driven_m": item.driven_m,
-        **{name: vars(found) for name, found in errors.items() if found is not None},
-        "kitti": {key: value for key, value in vars(item.together).items() if value is not None},
-    }
-
-
-def _body(item: Evaluation) -> str:
-    table = _side_by_side([item], {item.run.name: item.run.name})
-    return ", ".join(f"{name} {cell}" for name, cell in zip(table.headers, table.rows[0][1:], strict=True) if cell)
-
-
-def _one(evaluation: Evaluation) -> list[str | Table]:
-    run, segments = evaluation.run, _in_segments(evaluation.run)
-    scales = listed([f"{scale:.6g}" for scale in evaluation.scales])
-    scaled = f", the estimate scaled by {scales}" if evaluation.alignment == "sim3" else ""
-    facts = (
-        f"{run.name}: {run.frames} frames{segments}, {evaluation.driven_m:.1f} m driven",
-        f"{percent(run.coverage)} % have both poses: "
-        f"estimated {run.estimated_frames}, true {run.true_frames}, lost {run.lost}",
-        f"{_ALIGNED[evaluation.alignment]}{_EACH if segments else ''}{scaled}",
-        *evaluation.left_out,
-        _without_scale(evaluation),
-    )
-    return [*filter(None, facts), _error_table(evaluation), _stretch_table(evaluation)]
-
-
-def _notes(evaluation: Evaluation) -> Iterator[str]:
-    """Notes on a run's errors."""
-    found = _in_segments(evaluation.run)
-    segments = f"{evaluation.run.frames} frames{found}{_EACH}" if found else ""
-    yield from filter(None, (segments, *evaluation.left_out, _without_scale(evaluation)))
-
-
-def _several(evaluated: Sequence[Evaluation], columns: int) -> list[str | Table]:
-    names = short_names([item.run.name for item in evaluated], columns)
-    notes = [f"{item.run.name}: {note}" for item in evaluated for note in _notes(item)]
-    return [f"{len(evaluated)} runs", _run_table(evaluated, names), _side_by_side(evaluated, names), *notes]

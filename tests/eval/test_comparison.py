@@ -214,11 +214,6 @@ def test_one_loss_is_one_group_with_its_frame(tmp_path):
     assert (found.worst_place.frame, found.worst_place.base, found.worst_place.new) == (100, 1.0, 0.0)
 
 
-@pytest.mark.parametrize(("relevant", "worse"), [({}, []), ({"drivable_iou": 1e-5}, ["drivable_iou"])])
-def test_an_irrelevant_change_is_unchanged(tmp_path, relevant, worse):
-    assert compared(tmp_path, Rules(relevant=relevant), drivable_iou=pl.lit(0.97 - 2e-5)).regressions == worse
-
-
 @pytest.mark.parametrize(("judged", "factor", "worse"), [(True, 1.2, True), (True, 1.05, False), (False, 1.2, False)])
 def test_times_are_judged_on_request(tmp_path, judged, factor, worse):
     found = compared(tmp_path, Rules(times=judged), times=factor)

@@ -64,12 +64,6 @@ def test_continued_replays_are_one_run_with_the_figures_of_a_single_replay(tmp_p
     assert replace(ours, name="whole", log_ids=theirs.log_ids, worst=worst) == theirs
 
 
-def test_the_order_of_the_arguments_does_not_matter(tmp_path):
-    tables = continued(tmp_path)
-    (run,) = find_joined([tables[2], tables[0], tables[1]]).runs
-    assert [part.name for part in run.tables] == ["out_0", "out_1", "out_2"]
-
-
 @pytest.mark.parametrize("command", [report_main, trajectory_main], ids=["report", "trajectory"])
 def test_the_commands_print_the_same_as_for_a_single_replay(tmp_path, whole, capsys, command):
     assert command([whole]) == 0
@@ -81,15 +75,6 @@ def test_the_commands_print_the_same_as_for_a_single_replay(tmp_path, whole, cap
     assert note == "out_0+2: 3 continued replays as one run: out_0, out_1, out_2"
     text = re.sub(r"log a{16}, b{16}, c{16},", f"log {'e' * 16},", " ".join(text.split())).replace("out_0+2", "whole")
     assert text == " ".join(expected.split())
-
-
-def test_a_replay_whose_frames_are_all_repeated_has_a_note(tmp_path, capsys):
-    tables = continued(tmp_path, ((0, 4), (0, 8), (6, 20)))
-    for command in (report_main, trajectory_main):
-        assert command(tables) == 0
-        assert capsys.readouterr().out.startswith(
-            "out_0+2: 3 continued replays as one run: out_0 (out_1 repeats all its 4 frames), out_1, out_2\n"
-        )
 
 
 def test_a_replay_without_its_predecessor_is_evaluated_separately(tmp_path):

@@ -1,12 +1,10 @@
 """The poses of a table, and the exported lines read by independent code."""
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.errors import TableError
 from roadperc_stream.eval.trajectory.poses import kitti_lines, read_poses, tum_lines
-from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
+from tests.eval.tables import START_NS, STEP_NS, run_of
 from tests.eval.trajectories.paths import columns, helix, noisy, rigid, write_run
 
 TRUE = rigid(1) @ helix(6)
@@ -50,13 +48,6 @@ def test_steps_without_scale_have_a_turn_but_no_length(tmp_path):
     assert (found.steps, found.without_scale, found.up_to_scale) == (5, 3, True)
     some = read(write_run(tmp_path / "some.metrics.parquet", ESTIMATED, TRUE, step_m=[None, None, None, 0.5, 0.5, 0.5]))
     assert (some.without_scale, some.up_to_scale) == (2, False)
-
-
-@pytest.mark.parametrize("rows", [[], [row(0), row(1)]])
-def test_a_run_without_odometry_is_an_error(tmp_path, rows):
-    path = write(tmp_path / "drive.metrics.parquet", rows)
-    with pytest.raises(TableError, match=r"drive\.metrics\.parquet: no frame has an estimated pose"):
-        read(path)
 
 
 PATH = rigid(1) @ helix(5)
