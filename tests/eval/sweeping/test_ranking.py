@@ -56,12 +56,6 @@ def test_jitter_does_not_cross_logs(tmp_path):
     assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.5), SettingScore(0.5, 0.5), SettingScore(0.0, 0.5)]
 
 
-def test_of_equal_settings_the_one_with_the_fewest_changes_is_best():
-    some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
-    found = [SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0)]
-    assert best(ERROR, found, some, some[2]) == (3, None)
-
-
 @pytest.mark.parametrize(
     ("metric", "found", "expected"),
     [
