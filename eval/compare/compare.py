@@ -57,7 +57,7 @@ def compare(base: str, new: str | None, options: CompareOptions, files: ResultFi
     if new and options.update_reference:
         _require_updatable(base)
         if not path.exists() or (path.is_dir() and not any(path.rglob(f"*{METRICS_SUFFIX}"))):
-            _update(_first_copies(path, logged_runs(new)))
+            _update(_copies(path, Pairing((), (), added=logged_runs(new))))
             return
     with ExitStack() as temporary:
         if new is None:
@@ -72,7 +72,7 @@ def compare(base: str, new: str | None, options: CompareOptions, files: ResultFi
         with optional_output():
             print_comparison(console_for(sys.stdout), found, full=options.full, all_fields=options.exact)
     if options.update_reference:
-        _update(_update_copies(path, pairing))
+        _update(_copies(path, pairing))
     elif found.regressions:
         raise RegressionError(f"worse than the base run: {listed(found.regressions)}")
     elif options.exact and found.differences:
@@ -109,25 +109,11 @@ def _require_updatable(base: str) -> None:
         raise TableError(f"{base}: expected a folder or a table to update, found a glob")
 
 
-def _first_copies(base: Path, new: Sequence[Run]) -> list[Copy]:
-    """Copies that create the base.
-
-    Raises:
-        TableError: there are several new tables, and the base is the name of one.
-    """
-    if base.suffix != TABLE_SUFFIX:
-        return [copy for run in new for copy in _into_folder(base, run)]
-    tables = sum(len(run.tables) for run in new)
-    if tables > 1:
-        raise TableError(f"{base}: one table cannot hold {tables} tables; pass the name of a folder")
-    return [(new[0].path, base)]
-
-
-def _update_copies(base: Path, pairing: Pairing) -> list[Copy]:
+def _copies(base: Path, pairing: Pairing) -> list[Copy]:
     """Copies of the tables whose results differ, and of the tables that the base lacks.
 
     Raises:
-        TableError: a pair has different numbers of continued replays.
+        TableError: a pair has different numbers of continued replays, or one table would have to hold several.
     """
     copies: list[Copy] = []
     for pair in (pair for pair in pairing.pairs if not same_except_times(pair)):
@@ -137,8 +123,12 @@ def _update_copies(base: Path, pairing: Pairing) -> list[Copy]:
             expected = "expected as many continued replays, or another base"
             raise TableError(f"{pair.new.source_name}: {found}; {expected}")
         copies += ((new.path, old.path) for old, new in zip(ours, theirs, strict=True))
-    added = pairing.added if base.is_dir() else ()
-    return [*copies, *(copy for run in added for copy in _into_folder(base, run))]
+    if base.suffix != TABLE_SUFFIX:
+        return [*copies, *(copy for run in pairing.added for copy in _into_folder(base, run))]
+    tables = [table.path for run in pairing.added for table in run.tables]
+    if not base.exists() and len(tables) > 1:
+        raise TableError(f"{base}: one table cannot hold {len(tables)} tables; pass the name of a folder")
+    return copies if base.exists() else [(tables[0], base)]
 
 
 def _into_folder(folder: Path, run: Run) -> Iterator[Copy]:
