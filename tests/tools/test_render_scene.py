@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from roadperc_stream.cli.convert import main as convert
 from roadperc_stream.cli.render import main
 from roadperc_stream.tools.scene.options import SCENES, SENSORS, RenderOptions
 from roadperc_stream.tools.scene.scenes import make_scene
@@ -264,6 +265,24 @@ def carla_points(path):
         *(f"property float32 {name}" for name in "xyzI"),
     ]
     return points
+
+
+def test_the_converter_says_what_it_reads_from_a_dump(rendered, tmp_path, capsys):
+    dump = rendered("--size", "64x64", "--seconds", "0.2", "--rate", "10", "--lidar", "--instances", colour=True)
+    capsys.readouterr()
+    assert convert([str(dump.folder), str(tmp_path / "in.mcap")]) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert lines[1:8] == [
+        "role from frames missing size encoding",
+        "image rgb 2 0 64x64 png RGB 8 bit",
+        "depth depth 2 0 64x64 carla 24 bit",
+        "segmentation segmentation 2 0 64x64 raw in red",
+        "instances instance_segmentation 2 0 64x64",
+        "right right 2 0 64x64 png RGB 8 bit",
+        "lidar lidar 2 0 ply, left-handed",
+    ]
+    assert "tags carla-from-0.9.14 (CARLA 0.9.15)" in lines
+    assert "truth poses 2, surface 2, lanes 2, objects 2" in lines
 
 
 @pytest.mark.parametrize("scene", ["straight", "town"])

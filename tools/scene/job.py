@@ -126,11 +126,11 @@ class _Job:
 
     def _write_pictures(self, frame: int, name: str, snapshot: Snapshot, left: View) -> None:
         options = self.options
-        kept = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
-        for sensor, keep in zip(SENSORS, kept[:-1], strict=True):
+        written = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
+        for sensor, keep in zip(SENSORS, written[:-1], strict=True):
             if keep and sensor not in options.without:
                 dump.write_picture(self._path(sensor, name), self._picture(frame, sensor, snapshot, left))
-        if options.lidar and kept[-1]:
+        if options.lidar and written[-1]:
             dump.write_points(self.folder / dump.LIDAR / f"{name}.ply", scan(snapshot))
         if options.tag_noise or options.drop or "segmentation" in options.without:
             dump.write_picture(self._path("truth/segmentation", name), dump.tags_picture(left.tags))

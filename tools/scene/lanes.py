@@ -81,13 +81,9 @@ class RoadSection:
             table[_bin(zone.low_m) : _bin(zone.high_m)] = CARLA_FROM_0_9_14.names.index(zone.tag_name)
         return table
 
-    @cached_property
-    def right_line_table(self) -> NDArray[np.bool_]:
+    def on_right_line(self, d_bins: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return True for the bins of d on the right line of the ego lane."""
-        table = np.zeros(round(2 * REACH_M / BIN_M), np.bool_)
-        if self.broken:
-            table[_bin(self.right_edge_m - LINE_M) : _bin(self.right_edge_m)] = True
-        return table
+        return (d_bins >= _bin(self.right_edge_m - LINE_M)) & (d_bins < _bin(self.right_edge_m))
 
 
 def line_gap(s_m: Float32, s_origin_m: float) -> NDArray[np.bool_]:

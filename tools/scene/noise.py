@@ -119,18 +119,18 @@ def detect(
     snapshot: Snapshot, camera: Camera, world_T_camera: Float, seen: Sequence[ObjectTruth], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
     """Return the detections of a frame as in ``detections.json``, the best first."""
-    found: list[Detected] = [
+    detections: list[Detected] = [
         (truth.label, _jittered(truth.box_px, camera, rng), float(rng.uniform(0.55, 0.99)))
         for truth in seen
         if rng.random() >= MISSED
     ]
     visible = {truth.name for truth in seen}
     hidden = [body for body in snapshot.bodies if body.name not in visible]
-    found += _occluded(hidden, camera, world_T_camera, rng)
-    found += [false_detection(camera.width, camera.height, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
+    detections += _occluded(hidden, camera, world_T_camera, rng)
+    detections += [false_detection(camera.width, camera.height, rng) for _ in range(rng.poisson(FALSE_PER_FRAME))]
     return [
         {"label": label, "box_px": [round(c, 2) for c in box], "score": round(score, 4)}
-        for label, box, score in sorted(found, key=lambda detected: -detected[2])
+        for label, box, score in sorted(detections, key=lambda detected: -detected[2])
     ]
 
 

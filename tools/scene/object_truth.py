@@ -96,14 +96,14 @@ def objects_truth(
     The box is that of the visible pixels or, with ``whole``, that of the whole object, clipped to the image.
     """
     boxes = ndimage.find_objects(view.owner, len(snapshot.bodies))
-    found = (_object(scenario, snapshot, rig, view, i + 1, box) for i, box in enumerate(boxes) if box is not None)
-    seen = [truth for truth in found if truth is not None]
+    truths = (_object(scenario, snapshot, rig, view, i + 1, box) for i, box in enumerate(boxes) if box is not None)
+    seen = [truth for truth in truths if truth is not None]
     if not whole:
         return seen
     camera_T_world = inverse(snapshot.world_T_ego @ rig.ego_T_left)
     bodies = {body.name: body for body in snapshot.bodies}
     corners = (transform(camera_T_world, body_corners(bodies[truth.name], snapshot.time_s)) for truth in seen)
-    sides = (seen_sides(rig.camera, found, NEAR_M) for found in corners)
+    sides = (seen_sides(rig.camera, eight, NEAR_M) for eight in corners)
     return [replace(truth, box_px=image_box(rig.camera, parts)) for truth, parts in zip(seen, sides, strict=True)]
 
 

@@ -108,7 +108,7 @@ class View:
         index = bins(ground.d_m)
         below = section.tag_table[index]
         if section.broken:
-            below[section.right_line_table[index] & ground.line_gap] = ROAD
+            below[section.on_right_line(index) & ground.line_gap] = ROAD
         if self._paint is not None:
             below[self._paint.line] = ROAD_LINE
         tags[ground.top_row :] = np.where(ground.depth_m < FAR_M, below, SKY)
