@@ -40,22 +40,6 @@ def test_a_depth_camera_mounted_elsewhere_has_its_own_frame():
     assert set(found.cameras) == {"calibration"}
 
 
-def test_a_depth_camera_with_the_same_mounting_shares_the_front_frame():
-    found = rig(mounting={"rgb": RGB, "depth": RGB})
-    assert set(edges(found)) == {("ego", "camera_front")}
-    assert found.frame_ids["depth"] == "camera_front"
-
-
-def test_without_depth_images_there_is_no_depth_frame():
-    assert set(edges(rig(roles=("image",), rgb_height_m=1.7, depth_height_m=1.5))) == {("ego", "camera_front")}
-
-
-def test_depth_alone_is_the_front_camera():
-    found = rig(roles=("depth",), depth_height_m=1.5)
-    np.testing.assert_allclose(edges(found)["ego", "camera_front"][:3, 3], [0, 0, 1.5])
-    assert found.frame_ids["depth"] == "camera_front"
-
-
 def test_other_intrinsics_of_the_depth_camera_are_calibrated():
     found = rig(cameras={"depth": {"width": 640, "height": 480, "fov_deg": 90}})
     assert found.camera_of("depth").size == (480, 640)
@@ -90,13 +74,6 @@ def test_the_left_camera_as_front_takes_its_mounting():
     np.testing.assert_allclose(edges(found)["ego", "camera_front"][:3, 3], [1.5, 0.25, 1.4])
 
 
-def test_a_left_camera_beside_the_front_one_is_the_pairs_base():
-    mounting = {"rgb": RGB, "left": {**RGB, "y": -0.2}, "right": {**RGB, "y": 0.2}}
-    found = rig(roles=("image", "left", "right"), mounting=mounting)
-    assert found.cameras["right_calibration"].baseline_m == pytest.approx(0.4)
-    assert {child for _, child in edges(found)} == {"camera_front", "camera_left", "camera_right"}
-
-
 def test_a_pair_without_a_baseline_is_noted():
     found = rig(roles=PAIR)
     assert found.cameras["right_calibration"].baseline_m is None
@@ -121,11 +98,6 @@ def test_unknown_names_and_a_shifted_segmentation_are_noted():
 def test_contradictions_are_errors(content, fault):
     with pytest.raises(DumpError, match=fault):
         rig(roles=PAIR, **content)
-
-
-def test_an_unknown_size_is_an_error():
-    with pytest.raises(DumpError, match="camera_front: its image size is unknown"):
-        build_rig(CalibrationConfig.model_validate({"fov_deg": 90}), PATH, ("depth",), {})
 
 
 @pytest.mark.parametrize(("fy", "notes"), [(640, 0), (620, 0), (480, 1)])

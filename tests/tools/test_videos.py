@@ -1,13 +1,11 @@
 """Videos and plain images become logs, with their own times."""
 
-import json
 import struct
 from itertools import islice
 
 import cv2
 import pytest
 
-from roadperc_stream import log
 from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
 from roadperc_stream.tools.video_file import ReadCounts, frames_of, open_video
@@ -78,24 +76,6 @@ def test_a_folder_of_videos_is_one_drive_in_the_order_of_the_numbers(tmp_path):
     assert images(payloads(convert(folder))) == [(50 * k, k) for k in range(12)]
 
 
-def test_videos_of_two_sizes_are_refused(tmp_path, capsys):
-    write_video(tmp_path / "cams" / "a.mp4")
-    write_video(tmp_path / "cams" / "b.mp4", size=(80, 60))
-    message = failure(capsys, tmp_path / "cams", tmp_path / "out.mcap", *FOV)
-    assert "b.mp4: 80x60, expected 160x120 as a.mp4" in message
-
-
-@pytest.mark.parametrize(("name", "fourcc"), [("drive.mkv", "MJPG"), ("drive.avi", "MJPG")])
-def test_a_cut_video_is_converted_as_far_as_it_goes(tmp_path, capsys, name, fourcc):
-    path = write_video(tmp_path / name, frames=40, fourcc=fourcc)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    out = tmp_path / "out.mcap"
-    assert main([str(path), str(out), "--quiet", *FOV]) == 0
-    count = len(payloads(out)["image"])
-    assert 10 < count < 30
-    assert f"{name}: {count} of 40 frames could be read" in capsys.readouterr().err
-
-
 def test_frames_after_damage_are_kept(tmp_path, capsys):
     path = write_video(tmp_path / "drive.avi", frames=40, fourcc="MJPG")
     data = bytearray(path.read_bytes())
@@ -153,13 +133,6 @@ def test_what_is_missing_or_does_not_fit_a_video_is_named(tmp_path, capsys, opti
     assert words in failure(capsys, path, tmp_path / "out.mcap", *options)
 
 
-def test_the_log_of_a_video_states_frames_and_encoding(tmp_path):
-    (record,) = log.summarise(convert(write_video(tmp_path / "drive.mp4"), *FOV)).metadata
-    values = dict(record.values)
-    assert (values["frames"], values["encoding.image"]) == ("12", "FMP4, stored as jpeg 95")
-    assert str(tmp_path) not in json.dumps(values)
-
-
 @pytest.mark.parametrize("inside", ["", "holiday"])
 def test_images_of_any_name_are_the_front_camera(tmp_path, capsys, inside):
     folder, out = tmp_path / "shots", tmp_path / "out.mcap"
@@ -167,17 +140,6 @@ def test_images_of_any_name_are_the_front_camera(tmp_path, capsys, inside):
         jpeg(folder / inside / f"dashcam_{number}.jpg", camera_pixels(number))
     assert "taken as the images of the front camera" in printed_by(capsys, folder, out, *FOV, "--rate", "10")
     assert [t / 1e6 for t, _, _ in payloads(out)["image"]] == [0, 100, 200]
-
-
-def test_images_of_another_sensor_are_not_taken_for_the_camera(tmp_path, capsys):
-    jpeg(tmp_path / "shots" / "depth_rear" / "1.jpg", camera_pixels())
-    assert "no sensor found" in failure(capsys, tmp_path / "shots", tmp_path / "out.mcap", *FOV)
-
-
-def test_a_height_and_a_mounting_contradict_each_other(tmp_path, capsys):
-    jpeg(tmp_path / "shots" / "1.jpg", camera_pixels())
-    document(tmp_path / "shots" / "calibration.json", {"fov_deg": 90, "mounting": {"rgb": {"z": 1.4}}})
-    assert "remove --height" in failure(capsys, tmp_path / "shots", tmp_path / "out.mcap", "--height", "1.3")
 
 
 def test_a_real_video_is_read(data_dir):

@@ -40,7 +40,11 @@ def _read(request: Request) -> DatasetSequence:
     return replace(dataset, title=title, timing=timing, label_names=names)
 
 
-LAYOUT: Final = Layout(_read, (*FLAGS, "--rate"), _sequences, lambda folder: bool(_sequences(folder)))
+def _detect(folder: Path) -> bool:
+    return any(next(folder.glob(f"{depth}*{_SUFFIX}"), None) for depth in _DEPTHS)
+
+
+LAYOUT: Final = Layout(_read, (*FLAGS, "--rate"), _sequences, _detect)
 
 
 def _lines(path: Path) -> list[Float]:

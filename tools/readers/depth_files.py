@@ -17,7 +17,7 @@ Raises everywhere:
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, cast, get_args
 
 import cv2
 import numpy as np
@@ -48,7 +48,7 @@ CLIPPED_M: Final = 50.0
 """Far plane of TransFuser's 8-bit depth."""
 LOG_SCALE: Final = 5.70378
 _WHITE: Final = 255
-_UNITS: Final = ("mm", "cm", "m", "depth-256", "tum", "disparity")
+_UNITS: Final = get_args(Unit)
 """Encodings of numbers that only the user knows."""
 _NUMBERS: Final = frozenset({"metres", "metres / 1000", "millimetres"})
 GREY: Final[Mapping[DepthEncoding, str]] = {
@@ -160,7 +160,7 @@ def depth_encoding(files: Sequence[Path], asked: DepthCoding | None = None) -> D
     if asked in _UNITS:
         if other := next((encoding for encoding in found if encoding not in _NUMBERS), None):
             raise DumpError(f"{files[0]}: depth is encoded as {other}, but --depth-coding {asked} is for numbers")
-        return asked
+        return cast("Unit", asked)
     if "metres" in found and (median := max(map(_median, samples))) > _FARTHEST_MEDIAN_M:
         raise DumpError(f"{files[0]}: the median is {median:g}: pass --depth-coding mm, cm, m, tum or disparity")
     if "metres" in found and set(found) <= {"metres", "metres / 1000"}:

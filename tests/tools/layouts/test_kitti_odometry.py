@@ -87,14 +87,6 @@ def test_the_sequence_may_be_named_by_its_folder_or_by_a_folder_above(dataset, t
     assert "poses 3" in printed
 
 
-def test_missing_images_are_counted(dataset, tmp_path, capsys):
-    (dataset / "sequences/00/image_2/000001.png").unlink()
-    (dataset / "sequences/00/image_3/000001.png").unlink()
-    assert "note: 1 image missing between 0 and 2" in printed_by(
-        capsys, dataset, tmp_path / "out.mcap", "--sequence", "00"
-    )
-
-
 def test_a_sequence_without_poses_times_and_transform_of_the_lidar(tmp_path, capsys):
     folder = write_sequence(tmp_path / "alone", cameras=(0,), calibration="")
     printed = printed_by(capsys, folder, tmp_path / "out.mcap")
@@ -138,12 +130,6 @@ def test_options_that_do_not_fit_are_refused(dataset, tmp_path, capsys):
     assert "--sequence chooses among" in failure(capsys, dataset, out, "--layout", "dump", "--sequence", "00")
     assert "or remove --layout to detect it" in failure(capsys, dataset / "poses", out, "--layout", "kitti-odometry")
     assert len(set(LAYOUTS)) == len(LAYOUTS)
-
-
-def test_poses_that_are_no_text_are_named(dataset, tmp_path, capsys):
-    (dataset / "poses/00.txt").write_bytes(b"1\xff")
-    said = failure(capsys, dataset, tmp_path / "out.mcap", "--sequence", "00")
-    assert "00.txt: not a text file in UTF-8: invalid start byte at byte 1" in said
 
 
 def test_the_real_sequence_has_its_true_poses(data_dir, tmp_path):

@@ -59,15 +59,6 @@ def test_every_encoding_gives_the_known_metres(tmp_path, name):
     np.testing.assert_allclose(found, depth_m(), **tolerance)
 
 
-def test_16_bit_millimetres(tmp_path):
-    millimetres = np.array([[0, 1, 1500], [65535, 40000, 7]], np.uint16)
-    path = png(tmp_path / "0.png", millimetres)
-    assert depth_encoding([path]) == "millimetres"
-    np.testing.assert_allclose(
-        depth_metres(load_pixels(path), "millimetres"), [[np.nan, 0.001, 1.5], [65.535, 40.0, 0.007]], rtol=1e-6
-    )
-
-
 NUMBERS_16 = np.array([[0, 1500], [65535, 256]], np.uint16)
 
 
@@ -88,12 +79,6 @@ def test_the_users_coding_of_numbers(tmp_path, write, coding, expected):
     path = write(tmp_path / "0.png", NUMBERS_16)
     encoding = depth_encoding([path], coding)
     np.testing.assert_allclose(depth_metres(load_pixels(path), encoding, 720 * 0.5), expected, rtol=1e-6)
-
-
-def test_millimetres_of_larger_integers_need_no_option(tmp_path):
-    path = npy(tmp_path / "0.npy", np.array([[0, 70_000]], np.int32))
-    assert depth_encoding([path]) == "millimetres"
-    np.testing.assert_allclose(depth_metres(load_pixels(path), "millimetres"), [[np.nan, 70.0]], rtol=1e-6)
 
 
 def test_an_unknown_unit_and_a_wrong_coding_are_errors_that_name_the_option(tmp_path):
@@ -124,21 +109,6 @@ def test_the_first_unambiguous_file_decides(tmp_path):
         np.testing.assert_allclose(depth_metres(load_pixels(sky), encoding), 1000.0)
 
 
-def test_ambiguous_files_get_the_encoding_of_their_type(tmp_path):
-    """Black PNGs and zeros in .npy have no known depth in any encoding."""
-    empty = [npy(tmp_path / f"{k}.npy", np.zeros((2, 2))) for k in range(2)]
-    black = [png(tmp_path / f"{k}.png", np.zeros((2, 2, 3), np.uint8)) for k in range(2)]
-    assert depth_encoding(empty) == "metres"
-    assert depth_encoding(black) == "carla 24 bit"
-    assert np.isnan(depth_metres(load_pixels(black[0]), "carla 24 bit")).all()
-
-
-@pytest.mark.parametrize("metres", [1.0, 1.001])
-def test_one_is_the_far_plane_and_beyond_it_are_metres(tmp_path, metres):
-    path = npy(tmp_path / "0.npy", np.array([[0.0, 0.2, metres]]))
-    assert depth_encoding([path]) == ("metres / 1000" if metres == 1.0 else "metres")
-
-
 def test_grey_of_a_palette_is_its_colour_not_its_index(tmp_path):
     indices = np.array([[0, 1], [2, 3]], np.uint8)
     image = Image.fromarray(indices, "P")
@@ -148,18 +118,6 @@ def test_grey_of_a_palette_is_its_colour_not_its_index(tmp_path):
     found = depth_metres(load_pixels(tmp_path / "0.png"), "logarithmic grey")
     expected = 1000.0 * np.exp((np.array([[255, 10], [100, 0]]) / 255.0 - 1.0) * 5.70378)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
-
-
-def test_unknown_numbers_are_not_a_number(tmp_path):
-    path = npy(tmp_path / "0.npy", np.array([[np.nan, 0.0, -1.0, 5.0]]))
-    np.testing.assert_array_equal(depth_metres(load_pixels(path), "metres"), [[np.nan, np.nan, np.nan, 5.0]])
-
-
-def test_a_near_frame_in_metres_keeps_the_encoding(tmp_path):
-    near = npy(tmp_path / "0.npy", np.full((2, 2), 0.8))
-    far = npy(tmp_path / "1.npy", np.full((2, 2), 8.0))
-    assert depth_encoding([near, far]) == "metres"
-    np.testing.assert_allclose(depth_metres(load_pixels(near), "metres"), 0.8, rtol=1e-6)
 
 
 def palette_png(path):
@@ -222,14 +180,6 @@ def test_the_ground_shows_the_coding(tmp_path, coding, road, rounded):
     assert np.median(np.abs(metres[near] - depth_m[near])) < (2.0 if coding == "linear" else 0.3)
 
 
-@pytest.mark.parametrize("asked", CODINGS)
-def test_the_chosen_coding_is_used(tmp_path, asked):
-    road = Road(width=320, height=240)
-    path, _ = grey(tmp_path / "0.png", "logarithmic", road)
-    found, why = grey_encoding([path], road.camera, asked)
-    assert (found, why.endswith(f"--depth-coding {asked}")) == (GREY_ENCODINGS[asked], True)
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -246,6 +196,15 @@ def test_images_without_ground_are_an_error_that_names_the_option(tmp_path, valu
         DumpError, match=r"the coding of 8-bit grey depth is unknown \(.*\); pass --depth-coding linear"
     ):
         grey_encoding([path], Camera("camera", 320, 240, 160.0, 160.0, 159.5, 119.5), None)
+
+
+def test_16_bit_millimetres(tmp_path):
+    millimetres = np.array([[0, 1, 1500], [65535, 40000, 7]], np.uint16)
+    path = png(tmp_path / "0.png", millimetres)
+    assert depth_encoding([path]) == "millimetres"
+    np.testing.assert_allclose(
+        depth_metres(load_pixels(path), "millimetres"), [[np.nan, 0.001, 1.5], [65.535, 40.0, 0.007]], rtol=1e-6
+    )
 
 
 def test_a_cut_off_depth_is_unknown(tmp_path):

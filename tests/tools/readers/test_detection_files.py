@@ -60,29 +60,17 @@ def test_kitti_maxima_become_half_open(tmp_path):
     [
         ({"0": [{"label": "Car", "box_px": [1, 2, 3]}]}, r"0\[0\]\.box_px\[3\]: missing"),
         ({"0": [{"label": "Car", "box_px": [9, 2, 3, 4]}]}, "frame 0: box 9.0, 2.0, 3.0, 4.0"),
-        ({"0": [{"label": "Car", "box_px": [1, 2, 3, float("nan")]}]}, r"0\[0\]\.box_px\[3\]"),
         ({"0": [{"box_px": [1, 2, 3, 4]}]}, r"0\[0\]\.label: missing"),
-        ({"first": []}, "'first': expected a frame number"),
         ({"1": [], "01": []}, "'1' and '01' are both frame 1"),
         ([{"image_id": 1, "bbox": [1, 2, 3, 4]}], "expected category_id, category or label"),
-        ([{"image_id": 1, "bbox": [1, 2, -3, 4], "category_id": 3}], "frame 1: box"),
         ([{"image_id": "first", "bbox": [1, 2, 3, 4], "category_id": 3}], "'first': expected a frame number"),
         ([{"label": "Car", "box_px": [1, 2, 3, 4]}], r"\[0\]\.image_id: missing.*COCO"),
-        ("text", "expected keys with values"),
     ],
 )
 def test_faults_name_file_and_key(tmp_path, content, fault):
     with pytest.raises(DumpError, match=fault) as caught:
         load_detections(document(tmp_path / "detections.json", content))
     assert "detections.json" in str(caught.value)
-
-
-@pytest.mark.parametrize("line", ["Car 1 2 3", "Car 0 0 0 a 2 3 4 0 0 0 0 0 0 0", "Car 0 0 0 nan 2 3 4 0 0 0 0 0 0 0"])
-def test_kitti_faults_name_the_line(tmp_path, line):
-    path = tmp_path / "000003.txt"
-    path.write_text(f"\n{line}\n")
-    with pytest.raises(DumpError, match=r"000003\.txt: line 2: "):
-        load_labels({3: path}, [3], (640, 480))
 
 
 @pytest.mark.parametrize(
@@ -118,12 +106,4 @@ def test_a_line_that_is_no_box_of_yolo_is_named(tmp_path, line, expected):
     path = tmp_path / "0.txt"
     path.write_text(f"0 0.5 0.5 0.1 0.1\n{line}\n")
     with pytest.raises(DumpError, match=rf"0\.txt: line 2: expected ({expected})"):
-        load_labels({0: path}, [0], (640, 480))
-
-
-def test_a_file_without_names_of_classes_is_an_error(tmp_path):
-    (tmp_path / "data.yaml").write_text("names: 3")
-    path = tmp_path / "0.txt"
-    path.write_text("0 0.5 0.5 0.1 0.1\n")
-    with pytest.raises(DumpError, match=r"data\.yaml: expected names"):
         load_labels({0: path}, [0], (640, 480))

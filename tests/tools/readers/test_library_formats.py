@@ -86,19 +86,6 @@ def test_a_damaged_file_is_named(tmp_path, name, cut, capfd):
     capfd.readouterr()  # OpenEXR prints its own warnings
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda p: exr(p, {"A": DEPTH_M, "B": DEPTH_M}), "expected one array of depth, found A, B"),
-        (lambda p: hdf5(p, {"a": DEPTH_M, "b": DEPTH_M}), "expected one array of depth, found a, b"),
-        (lambda p: hdf5(p, {"colours": np.zeros((2, 3, 3))}), "expected one array of depth, found none"),
-    ],
-)
-def test_several_arrays_are_an_error(tmp_path, make, words):
-    with pytest.raises(UnreadableFrameError, match=words):
-        load_pixels(make(tmp_path / "0.x"))
-
-
 @pytest.mark.parametrize("name", ["OpenEXR", "h5py", "laspy"])
 def test_without_the_library_the_error_names_the_command(tmp_path, monkeypatch, name):
     makers = {"OpenEXR": FILES["only channel"], "h5py": FILES["only array"], "laspy": laz}

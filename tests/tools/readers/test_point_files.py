@@ -81,22 +81,12 @@ def on_windows(ply):
     return (header + end).replace(b"\n", b"\r\n") + body
 
 
-@pytest.mark.parametrize("content", [CARLA.replace("\n", "\r\n").encode(), on_windows(binary("float", "<f4"))])
-def test_a_header_with_windows_line_ends(tmp_path, content):
-    np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", content)), RIGHT_HANDED, atol=1e-6)
-
-
 def test_a_points_first_byte_is_no_line_end(tmp_path):
     """The points follow the header at once, whatever their bytes."""
     points = np.frombuffer(b"\r\n\r\n" * 4, "<f4").reshape(1, 4)
     content = binary("float", "<f4", points)
     for path in (written(tmp_path, "1.ply", content), written(tmp_path, "2.ply", on_windows(content))):
         np.testing.assert_array_equal(load_points(path), points * np.float32([1, -1, 1, 1]))
-
-
-def test_the_header_ends_with_a_line_of_its_own(tmp_path):
-    path = written(tmp_path, "1.ply", CARLA.replace("format", "comment no end_header\nformat"))
-    assert load_points(path).shape == (2, 4)
 
 
 @pytest.mark.parametrize("name", ["1.ply", "2.ply", "1.npy"])
@@ -110,22 +100,9 @@ def test_coordinates_beyond_float32_are_infinite_without_a_warning(tmp_path, nam
     np.testing.assert_array_equal(points, expected)
 
 
-def test_points_without_intensities_have_three_columns(tmp_path):
-    assert load_points(written(tmp_path, "1.npy", npy(LEFT_HANDED[:, :3]))).shape == (2, 3)
-    without = CARLA.replace("property float32 I\n", "").replace(" 0.5000\n", "\n").replace(" 0.7500\n", "\n")
-    np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", without)), RIGHT_HANDED[:, :3])
-
-
-def test_an_empty_scan_has_no_points(tmp_path):
-    assert load_points(written(tmp_path, "1.ply", binary("float", "<f4", LEFT_HANDED[:0]))).shape == (0, 4)
-    empty = CARLA.partition("end_header\n")[0].replace("vertex 2", "vertex 0") + "end_header\n"
-    assert load_points(written(tmp_path, "2.ply", empty)).shape == (0, 4)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "fault"),
     [
-        ("1.ply", b"", "empty file"),
         ("1.ply", b"\x89PNG....", "starts with 8950.*, expected a PLY file"),
         ("1.ply", "ply\nformat ascii 1.0\n", "no end_header"),
         (
@@ -133,26 +110,18 @@ def test_an_empty_scan_has_no_points(tmp_path):
             CARLA.replace("ascii", "binary_big_endian"),
             "PLY format binary_big_endian, expected ascii or binary_l",
         ),
-        ("1.ply", CARLA.replace("format ascii 1.0\n", ""), "PLY format none"),
         ("1.ply", CARLA.replace("element vertex 2\n", ""), "expected the points .element vertex. first"),
-        ("1.ply", CARLA.replace("element vertex 2\n", "element face 1\nelement vertex 2\n"), "first in the PLY"),
         ("1.ply", CARLA.replace("vertex 2", "vertex two"), "element vertex two: expected a number of points"),
-        ("1.ply", CARLA.replace("float32 I", "list uchar int I"), "property list uchar int I: expected"),
         ("1.ply", CARLA.replace("float32 z", "float32 depth"), "properties x, y, depth, I, expected x, y and z"),
         ("1.ply", CARLA.replace("vertex 2", "vertex 3"), "2 points, its header says 3"),
         ("1.ply", CARLA.replace("2.4000", "high"), "a coordinate is not a number"),
         ("1.ply", binary("float", "<f4")[:-1], "1 points, its header says 2"),
         ("1.npy", b"\x93NUMPY", "damaged .npy: EOF"),
         ("1.npy", npy(np.zeros((4, 2))), r"\(4, 2\), expected numbers of shape \(N, 3\)"),
-        ("1.npy", npy(np.array(["a"])), "<U1 .1,., expected an array of plain numbers"),
         ("1.npy", npy(np.zeros((4, 4), bool)), "bool .4, 4., expected an array of plain numbers"),
-        ("1.npy", npy(np.array(None)), "damaged .npy: Object arrays"),
         ("1.npy", npy(LEFT_HANDED)[:-1], "damaged .npy: EOF"),
-        ("1.npy", b"PK\x03\x04" + b"x" * 50, "starts with 504b0304, expected a .npy file"),
         ("1.npy", header_of("(10000000000000, 4)"), "damaged .npy: "),
         ("1.npy", header_of("(-1, 4)"), "damaged .npy: "),
-        ("1.npy", npy_of("-" * 9000 + "1"), "damaged .npy: "),
-        ("1.npy", npy_of("(" * 9000), "damaged .npy: "),
         ("1.npy", npy_of("{'descr': (), 'fortran_order': False, 'shape': (4, 4)}"), "damaged .npy"),
         ("1.bin", b"\x00" * 20, "20 bytes, expected points of 16 bytes"),
         ("1.csv", "1,2,3", "expected points as .ply, .npy, .bin, .las or .laz"),
@@ -163,3 +132,9 @@ def test_errors_name_the_file(tmp_path, name, content, fault):
     with pytest.raises(UnreadableFrameError, match=fault) as caught:
         load_points(path)
     assert str(path) in str(caught.value)
+
+
+def test_points_without_intensities_have_three_columns(tmp_path):
+    assert load_points(written(tmp_path, "1.npy", npy(LEFT_HANDED[:, :3]))).shape == (2, 3)
+    without = CARLA.replace("property float32 I\n", "").replace(" 0.5000\n", "\n").replace(" 0.7500\n", "\n")
+    np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", without)), RIGHT_HANDED[:, :3])

@@ -31,12 +31,6 @@ def test_a_camera_with_its_nose_up_looks_up():
     np.testing.assert_allclose(ahead, [np.cos(np.radians(10)), 0.0, np.sin(np.radians(10))], atol=1e-12)
 
 
-def test_a_camera_turned_right_looks_right():
-    ego_T_camera = camera_mounting(CarlaPose(z=1.4, yaw=90.0))
-    ahead = transform(ego_T_camera, np.array([0.0, 0.0, 1.0])) - ego_T_camera[:3, 3]
-    np.testing.assert_allclose(ahead, [0.0, -1.0, 0.0], atol=1e-12)
-
-
 EXPECTED = {7: CarlaPose(x=1, y=2, z=3, roll=4, pitch=5, yaw=6)}
 
 
@@ -60,12 +54,8 @@ def test_poses_of_tables(tmp_path, text):
     [
         ("poses.json", "{", "not JSON"),
         ("poses.json", '{"0": {"location": {"x": 1, "y": 2}}}', "0.location.z: missing"),
-        ("poses.json", '{"a": 1}', "poses.json: a"),
         ("poses.csv", "1 0 0 0 1 0 0 0 1", "expected a header"),
-        ("poses.csv", "", "expected a header"),
         ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3\n", "row 2: expected 7 values, got 3"),
-        ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,nan\n", "1.yaw"),
-        ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,7\n1,2,3,4,5,6,7\n", "appears twice"),
         ("poses.csv", "frame,x,y,z,roll,pitch,yaw\n1,2,3,4,5,6,7\n01,2,3,4,5,6,7\n", "both frame 1"),
     ],
 )
