@@ -14,8 +14,8 @@ from typing import Any, Final
 import polars as pl
 
 from roadperc_stream import log
-from roadperc_stream.batch.storage.addresses import is_address
-from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.addresses import is_address
+from roadperc_stream.batch.location import Location
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.config import ReplayConfig, implementations, load_config
 from roadperc_stream.errors import ConfigError, LogError, TableError

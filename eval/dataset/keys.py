@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from roadperc_stream.batch.storage.addresses import natural
+from roadperc_stream.batch.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import polars as pl
 
-from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.location import Location
 from roadperc_stream.errors import TableError
 from roadperc_stream.system.files import TABLE_SUFFIX, scratch_folder
 

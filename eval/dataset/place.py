@@ -7,7 +7,7 @@ from typing import Final
 
 import polars as pl
 
-from roadperc_stream.batch.storage.addresses import is_address, local_path
+from roadperc_stream.batch.addresses import is_address, local_path
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow

@@ -11,14 +11,12 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from time import monotonic
-from types import ModuleType
 from typing import Final
 from uuid import uuid4
 
@@ -34,12 +32,7 @@ OUTPUT: Final = "log"
 _CHECK_EVERY_S: Final = 0.1
 _PROGRESS_EVERY_S: Final = 0.2
 _CONTEXT: Final = multiprocessing.get_context("forkserver")
-_PRELOADED: Final = ("roadperc_stream.batch.worker",)
-_END_BYTES: Final = 1 << 20
-"""Bytes at the end of the output in which a fatal error is searched."""
-_LONGEST: Final = 500
-"""Most characters of a line of output that a row of the list of runs quotes."""
-_ONE_THREAD: Final = "OPENBLAS_NUM_THREADS"
+_CONTEXT.set_forkserver_preload(["roadperc_stream.batch.worker"])
 _starting: Final = threading.Lock()
 
 
@@ -70,7 +63,7 @@ def _attempt(task: Task, stop: threading.Event, on_progress: Progress) -> Outcom
     printed.parent.mkdir(parents=True, exist_ok=True)
     receiver, sender = _CONTEXT.Pipe(duplex=False)
     process = _CONTEXT.Process(target=_run, args=(task, printed, sender), daemon=True)
-    with _starting, _clean_start():
+    with _starting:
         process.start()
     sender.close()
     try:
@@ -79,10 +72,8 @@ def _attempt(task: Task, stop: threading.Event, on_progress: Progress) -> Outcom
         process.kill()
         process.join()
         receiver.close()
-    if outcome is None:
-        outcome = Outcome("killed", f"its process ended by {_end_of(process.exitcode)}{_fatal_error(printed)}")
-    _keep_printed(task, printed)
-    return outcome
+    hint = _keep_printed(task, printed)
+    return outcome or Outcome("killed", f"its process ended by {_end_of(process.exitcode)}{hint}")
 
 
 def _watched(
@@ -117,52 +108,22 @@ def _memory_bytes(process: ForkServerProcess) -> int:
 
 
 def _end_of(code: int | None) -> str:
-    if code is None or code >= 0:
-        return f"exit code {code}"
     with suppress(ValueError):
-        return signal.Signals(-code).name
-    return f"signal {-code}"
+        return signal.Signals(-(code or 0)).name
+    return f"exit code {code}"
 
 
-def _fatal_error(printed: Path) -> str:
-    """The fatal error in the output of a process, with the line before it and its line of code; empty without one."""
-    with suppress(OSError), printed.open("rb") as file:
-        file.seek(max(printed.stat().st_size - _END_BYTES, 0))
-        before, mark, after = file.read().decode(errors="replace").rpartition("Fatal Python error: ")
-        error, _, dump = after.partition("\n")
-        lines = (*before.splitlines()[-1:], mark + error, *dump.partition("Current thread ")[2].splitlines()[1:2])
-        return "".join(f": {line.strip()[:_LONGEST]}" for line in lines) if mark else ""
-    return ""
-
-
-def _keep_printed(task: Task, printed: Path) -> None:
-    """Put the output of the process, if any, into the dataset."""
+def _keep_printed(task: Task, printed: Path) -> str:
+    """Put the output of the process, if any, into the dataset; returns the hint where it is."""
+    hint = ""
     with suppress(OSError, RoadpercError):
         if printed.stat().st_size:
-            task.job.out.at(f"{OUTPUT}/{task.log.stem}-{task.key}.txt").put(printed)
+            name = f"{OUTPUT}/{task.log.stem}-{task.key}.txt"
+            task.job.out.at(name).put(printed)
+            hint = f"; see {name}"
         for leftover in printed.parent.glob(f"{task.key}.*.log"):  # also of attempts whose batch was killed
             leftover.unlink(missing_ok=True)
-
-
-@contextmanager
-def _clean_start() -> Iterator[None]:
-    """Start a process without the main module and without threads of BLAS.
-
-    The main module of a Ray worker takes a second to import. The process that is forked must have no threads of
-    libraries.
-    """
-    _CONTEXT.set_forkserver_preload(list(_PRELOADED))
-    main, threads = sys.modules["__main__"], os.environ.get(_ONE_THREAD)
-    sys.modules["__main__"] = ModuleType("__main__")
-    os.environ[_ONE_THREAD] = "1"
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
-        if threads is None:
-            del os.environ[_ONE_THREAD]
-        else:
-            os.environ[_ONE_THREAD] = threads
+    return hint
 
 
 def _run(task: Task, printed: Path, sender: Connection) -> None:

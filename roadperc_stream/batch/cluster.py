@@ -1,201 +1,178 @@
-"""Tasks on the machines of a Ray cluster.
+"""Tasks on the machines of a Ray cluster: an actor for each CPU, which replays one log after the other."""
 
-A separate process connects to Ray (``ray_session``). Ray prints, handles the signals, waits minutes for a missing
-cluster, and ends its process if the cluster's head dies. None of this affects the batch.
-"""
-
-import contextlib
-import importlib.util
 import os
-import secrets
+import signal
 import socket
-import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
-from roadperc_stream import __version__
+import ray
+from ray.exceptions import RayError
+
 from roadperc_stream.batch.attempt import attempt
 from roadperc_stream.batch.backend import Frames
-from roadperc_stream.batch.task import RESULTS_VERSION, Outcome, Task
+from roadperc_stream.batch.task import Outcome, Task
 from roadperc_stream.errors import ClusterError
-from roadperc_stream.system.progress import at_most_every
 
 LOCAL: Final = "local"
 """The address for a Ray that the batch starts and ends on this machine."""
 _CLIENT: Final = "ray"
 _CLIENT_PORT: Final = 10001
 _ANSWER_WITHIN_S: Final = 5.0
-_JOIN_WITHIN_S: Final = 90.0
-_START_WITHIN_S: Final = 120.0
-_LEAVE_WITHIN_S: Final = 15.0
-_SESSION: Final = "roadperc_stream.batch.ray_session"
-_ENVIRONMENT: Final = {
-    # Otherwise Ray sends the working folder, logs included, to the machines and runs uv there.
-    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
-    "RAY_gcs_server_request_timeout_seconds": "20",
-    "RAY_USAGE_STATS_ENABLED": "0",
-}
-"""Environment variables for Ray, unless the user sets them."""
+_STATE_EVERY_S: Final = 1.0
+_OBJECTS_BYTES: Final = 100_000_000
+"""Ray's object store, of the smallest size: outcomes are small and bypass it."""
+_LONGEST_FOLDER: Final = 36
+"""Characters of a folder below which Ray's sockets have names short enough for the system."""
 
 
-@dataclass(frozen=True)
-class ClusterRequest:
-    """The cluster that a session joins or starts.
+class Worker:
+    """An actor: a process of Ray on one of the machines."""
 
-    ``jobs`` are the CPUs of a local cluster. ``memory_bytes`` is the memory of a task. Every machine must have
-    ``version``.
-    """
+    def __init__(self) -> None:
+        self._frames = 0, 0
+        sys.modules["__main__"] = ModuleType("__main__")  # Ray's takes a second to import in the forked processes
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # a process that forks must have no threads of libraries
 
-    address: str
-    jobs: int
-    memory_bytes: int
-    version: str
+    def attempt(self, task: Task) -> Outcome:
+        """Replay a log."""
+        self._frames = 0, 0
+        return attempt(task, on_progress=self._note)
 
+    def _note(self, done: int, expected: int) -> None:
+        self._frames = done, expected
 
-@dataclass(frozen=True)
-class ClusterState:
-    """Current CPUs of the cluster, and the progress of the running tasks by their keys."""
-
-    slots: int
-    running: Mapping[str, Frames]
-
-
-@dataclass(frozen=True)
-class TaskEnd:
-    """The outcome of the task with this key."""
-
-    key: str
-    outcome: Outcome
+    def frames(self) -> Frames:
+        """The progress of the running replay."""
+        return self._frames
 
 
-SessionMessage = ClusterState | TaskEnd | str
-"""Messages of a session; a string is the one-line error of a session that cannot start."""
-
-
-class RayBackend:
-    """A task of Ray for each log.
+class RayBackend(AbstractContextManager["RayBackend"]):
+    """Runs as many tasks at a time as the cluster has CPUs.
 
     Args:
         address: of a cluster, as Ray takes it (``auto``, ``host:6379``, ``ray://host:10001``), or ``local``.
         jobs: CPUs of a local cluster.
         memory_bytes: memory that Ray reserves for a task.
-
-    Raises:
-        ClusterError: Ray is not installed.
     """
 
     def __init__(self, address: str, jobs: int, memory_bytes: int) -> None:
-        if importlib.util.find_spec("ray") is None:
-            raise ClusterError("--ray: Ray is not installed; pip install '.[cluster]' in the project's folder")
-        self._request = ClusterRequest(address, jobs, memory_bytes, version_on_node())
-        self._tasks: dict[str, Task] = {}
-        self._state = ClusterState(0, {})
-
-    @property
-    def slots(self) -> int:
-        """CPUs of the cluster, which may grow and shrink."""
-        return self._state.slots
-
-    @property
-    def running(self) -> Mapping[str, Frames]:
-        """The progress of the running tasks, by their keys."""
-        return {key: frames for key, frames in self._state.running.items() if key in self._tasks}
+        self._address, self._jobs, self._memory_bytes = address, jobs, memory_bytes
+        self.slots = 0
+        self.running: Mapping[str, Frames] = {}
+        self._tasks: dict[Any, tuple[Task, Any]] = {}
+        self._idle: list[Any] = []
+        self._largest_bytes = 0
+        self._state_at_s = 0.0
+        self._exits = ExitStack()
 
     def __enter__(self) -> Self:
         """Start Ray or join a cluster.
 
         Raises:
-            ClusterError: no cluster listens at the address, or its version differs.
+            ClusterError: no cluster listens at the address, or Ray cannot join it.
         """
-        _require_listener(self._request.address)
-        self._connection, other = Pipe()
-        self._process = _start_session(other, self._request.address)
-        other.close()
-        try:
-            self._connection.send(self._request)
-            self._await_session()
-        except BaseException:
-            self.__exit__()
-            raise
+        _require_listener(self._address)
+        with ExitStack() as stack:
+            stack.enter_context(_joined(self._address, self._jobs, self._memory_bytes))
+            self._update()
+            self._exits = stack.pop_all()
         return self
 
-    def _await_session(self) -> None:
-        within_s = _START_WITHIN_S if self._request.address == LOCAL else _JOIN_WITHIN_S
-        if not self._connection.poll(within_s):
-            error = f"no cluster joined within {within_s:g} s; check the address"
-            raise ClusterError(f"--ray {self._request.address}: {error}")
-        self._received()
+    def __exit__(self, *raised: object) -> None:
+        """End all tasks, and leave the cluster or end the one that was started."""
+        self._exits.close()
 
     def submit(self, task: Task) -> None:
-        """Start a task."""
-        self._tasks[task.key] = task
-        try:
-            self._connection.send(task)
-        except OSError:
-            raise self._lost() from None
+        """Start a task in a waiting worker, or in a new one."""
+        worker = self._idle.pop() if self._idle else self._new_worker()
+        self._tasks[worker.attempt.remote(task)] = task, worker
+
+    def _new_worker(self) -> Any:
+        """A worker with at most the memory of the largest machine; Ray never starts one that asks for more."""
+        memory_bytes = min(self._memory_bytes, self._largest_bytes)
+        return ray.remote(Worker).options(num_cpus=1, memory=memory_bytes, max_concurrency=2).remote()
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
-        """The tasks that ended since the last call.
+        """The tasks that ended since the last call."""
+        if time.monotonic() > self._state_at_s:
+            self._update()
+            self._state_at_s = time.monotonic() + _STATE_EVERY_S
+        if not self._tasks:
+            time.sleep(timeout_s)
+            return []
+        ended, _ = ray.wait(list(self._tasks), timeout=timeout_s)
+        return [self._ended(reference) for reference in ended]
 
-        Raises:
-            ClusterError: the connection to the cluster is lost.
-        """
-        ended: list[tuple[Task, Outcome]] = []
-        until = time.monotonic() + timeout_s
-        while self._connection.poll(0 if ended else max(0, until - time.monotonic())):
-            if (end := self._received()) is not None:
-                ended.append((self._tasks.pop(end.key), end.outcome))
-        return ended
-
-    def _received(self) -> TaskEnd | None:
-        """The next message if a task has ended; None for a new state of the cluster, which is stored."""
+    def _ended(self, reference: Any) -> tuple[Task, Outcome]:
+        """The task and its outcome; a worker that died is not used again."""
+        task, worker = self._tasks.pop(reference)
         try:
-            message: SessionMessage = self._connection.recv()
-        except (EOFError, OSError):
-            raise self._lost() from None
-        if isinstance(message, str):
-            raise ClusterError(f"--ray {self._request.address}: {message}")
-        if isinstance(message, TaskEnd):
-            return message
-        self._state = message
-        return None
+            outcome: Outcome = ray.get(reference)
+        except RayError as error:
+            return task, Outcome("killed", f"the worker of Ray ended: {_line(error)}")
+        self._idle.append(worker)
+        return task, outcome
 
-    def _lost(self) -> ClusterError:
-        error = "lost the connection to the cluster; run the same command again to continue"
-        return ClusterError(f"--ray {self._request.address}: {error}")
+    def _update(self) -> None:
+        """Ask for the machines and the progress; Ray's own sum of resources counts lost machines for a while."""
+        machines = [node["Resources"] for node in ray.nodes() if node["Alive"]]  # type: ignore[no-untyped-call]
+        self._largest_bytes = int(max((machine.get("memory", 0) for machine in machines), default=0))
+        self.slots = int(sum(machine.get("CPU", 0) for machine in machines))
+        keys = {worker.frames.remote(): task.key for task, worker in self._tasks.values()}
+        answers = ray.wait(list(keys), num_returns=len(keys), timeout=_STATE_EVERY_S)[0] if keys else []
+        found = dict[str, Frames]()
+        for answer in answers:
+            with suppress(RayError):
+                found[keys[answer]] = ray.get(answer)
+        self.running = found
 
-    def __exit__(self, *raised: object) -> None:
-        """End all tasks and leave the cluster: the session does both when its pipe closes."""
-        self._connection.close()
-        has_joined = self._state.slots > 0 or self._request.address == LOCAL
+
+@contextmanager
+def _joined(address: str, jobs: int, memory_bytes: int) -> Iterator[None]:
+    """Join or start the cluster within the context.
+
+    Raises:
+        ClusterError: Ray cannot.
+    """
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
+    with ExitStack() as stack:
+        if address == LOCAL:
+            options |= {
+                "num_cpus": jobs,
+                "num_gpus": 0,
+                "include_dashboard": False,
+                "object_store_memory": _OBJECTS_BYTES,
+                "_memory": jobs * memory_bytes,
+                "_temp_dir": stack.enter_context(_short_folder()),
+            }
+        handler = signal.getsignal(signal.SIGTERM)
+        stack.callback(ray.shutdown)
         try:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_LEAVE_WITHIN_S if has_joined else 0)
-        finally:
-            self._process.kill()
-            self._process.wait()
+            ray.init(address, **options)
+        except Exception as error:  # Ray has no common base class
+            raise ClusterError(f"--ray {address}: {_line(error)}") from error
+        signal.signal(signal.SIGTERM, handler)  # Ray's own handler prints
+        yield
 
 
-def _start_session(connection: Connection, address: str) -> "subprocess.Popen[bytes]":
-    """Start the session in its own process group, which an interrupt from the terminal does not reach."""
-    environment = _ENVIRONMENT | dict(os.environ)
-    if address == LOCAL:  # only for this batch, and without a key in the user's home
-        environment |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", _SESSION, str(connection.fileno())],
-        env=environment,
-        pass_fds=[connection.fileno()],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+def _short_folder() -> AbstractContextManager[str]:
+    usual = tempfile.gettempdir()
+    root = usual if len(usual) <= _LONGEST_FOLDER and " " not in usual else "/tmp"
+    return tempfile.TemporaryDirectory(prefix="ray-", dir=Path(root), ignore_cleanup_errors=True)
+
+
+def _line(error: Exception) -> str:
+    """The last line of the error, which is that of a traceback."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1] if lines else type(error).__name__
 
 
 def _require_listener(address: str) -> None:
@@ -207,7 +184,7 @@ def _require_listener(address: str) -> None:
     if address in {LOCAL, "auto"}:
         return
     parts = urlsplit(address if "://" in address else f"//{address}")
-    with contextlib.suppress(ValueError):
+    with suppress(ValueError):
         host, port = parts.hostname, parts.port or (_CLIENT_PORT if parts.scheme == _CLIENT else None)
         if parts.scheme in {"", _CLIENT} and host and port:
             try:
@@ -216,45 +193,3 @@ def _require_listener(address: str) -> None:
                 raise ClusterError(f"--ray {address}: no cluster at this address: {error}") from None
             return
     raise ClusterError(f"--ray {address}: expected local, auto, HOST:PORT or ray://HOST:PORT")
-
-
-_PROGRESS_EVERY_S: Final = 1.0
-
-
-def version_on_node() -> str:
-    """The versions of program and results on the machine that runs this; Ray takes only plain functions."""
-    return f"{__version__}, results {RESULTS_VERSION}"
-
-
-class FrameCount:
-    """Progress of the running tasks of all machines."""
-
-    def __init__(self) -> None:
-        self._done: dict[str, Frames] = {}
-
-    def store(self, key: str, frames: Frames) -> None:
-        """Store the frames done and expected of a task."""
-        self._done[key] = frames
-
-    def remove(self, key: str) -> None:
-        """Remove a task that has ended."""
-        self._done.pop(key, None)
-
-    def all(self) -> dict[str, Frames]:
-        """The progress of all running tasks."""
-        return self._done
-
-
-def attempt_on_node(task: Task, count: Any) -> Outcome:
-    """Replay a log and report its progress.
-
-    ``count`` is Ray's handle of a ``FrameCount``.
-    """
-
-    def report(done: int, expected: int) -> None:
-        count.store.remote(task.key, (done, expected))
-
-    try:
-        return attempt(task, on_progress=at_most_every(_PROGRESS_EVERY_S, report))
-    finally:
-        count.remove.remote(task.key)

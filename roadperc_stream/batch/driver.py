@@ -10,7 +10,7 @@ from typing import Final
 
 from roadperc_stream import __version__
 from roadperc_stream.batch.backend import Backend
-from roadperc_stream.batch.dataset_lock import DatasetLock
+from roadperc_stream.batch.lock import dataset_lock
 from roadperc_stream.batch.plan import Planner, Step, find_logs
 from roadperc_stream.batch.runs import BatchRow, KnownRuns, RunsTable
 from roadperc_stream.batch.task import RESULTS_VERSION, BatchJob, LogFiles, Outcome, Task, libraries
@@ -225,7 +225,7 @@ class BatchRun:
             StorageError: the dataset cannot be read.
             TableError: its list of runs cannot be read.
         """
-        self._known = KnownRuns(self._table.read().values(), self._job.configuration.name)
+        self._known = KnownRuns(self._table.read(), self._job.configuration.name)
         planner = Planner(self._known, self._job)
         return tuple(planner.step(log) for log in self.logs)
 
@@ -237,15 +237,12 @@ class BatchRun:
         Raises:
             StorageError: the dataset cannot be written, or another batch is writing it.
         """
-        with DatasetLock(self._job.out) as lock:
+        with dataset_lock(self._job.out):
             steps = self.plan()
             progress = BatchProgress(0, 0)
-            try:
-                if any(step.action != "skip" for step in steps):
-                    progress = self._run(steps, lock, start, display)
-            finally:
-                if lock.is_held:
-                    self._table.fold()
+            if any(step.action != "skip" for step in steps):
+                with start() as backend, display() as show:
+                    progress = Driver(self._job, backend, self._table, self._known, show).run(steps)
         earlier = [step.previous.row for step in steps if step.is_failed and step.previous is not None]
         return BatchSummary(
             done=progress.done - len(progress.failed),
@@ -254,12 +251,3 @@ class BatchRun:
             frames=progress.frames,
             failed=(*earlier, *progress.failed),
         )
-
-    def _run(self, steps: Sequence[Step], lock: DatasetLock, start: StartBackend, display: Display) -> BatchProgress:
-        with start() as backend, display() as show:
-
-            def on_progress(progress: BatchProgress) -> None:
-                lock.require_held()
-                show(progress)
-
-            return Driver(self._job, backend, self._table, self._known, on_progress).run(steps)

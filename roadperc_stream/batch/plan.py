@@ -8,9 +8,9 @@ from pathlib import Path, PurePosixPath
 from typing import Final, Literal
 
 from roadperc_stream import __version__
+from roadperc_stream.batch.addresses import is_address, natural
+from roadperc_stream.batch.location import Location, StoredFile, find_files
 from roadperc_stream.batch.runs import BatchRow, KnownRuns
-from roadperc_stream.batch.storage.addresses import is_address, natural
-from roadperc_stream.batch.storage.location import Location, StoredFile, find_files
 from roadperc_stream.batch.task import LOGS, METRICS, OBJECTS, RESULTS_VERSION, BatchJob, LogFiles, name_in
 from roadperc_stream.errors import StorageError
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, STATUSES

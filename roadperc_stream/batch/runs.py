@@ -1,22 +1,14 @@
-"""The list of runs of a dataset: ``runs.parquet``, and the folder ``runs/`` with the rows of the running batch.
+"""The list of runs of a dataset, ``runs.parquet``, which a batch saves from time to time."""
 
-A batch saves its own rows often, and merges all rows into ``runs.parquet`` at its end. The rows of a killed batch are
-therefore not lost.
-"""
-
-import os
-import shutil
-import socket
 import tempfile
-import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
-from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.location import Location
 from roadperc_stream.batch.task import SCRATCH
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.tables import TableWriter, rows_in
@@ -24,9 +16,7 @@ from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.system.files import TABLE_SUFFIX, target_errors
 
 ALL: Final = f"runs{TABLE_SUFFIX}"
-RUNNING: Final = "runs"
 _REMEDY: Final = "remove it to replay all logs again"
-_UNFINISHED: Final = "runs-"
 
 
 @dataclass(frozen=True)
@@ -45,13 +35,13 @@ class BatchRow:
 Rows = dict[tuple[str, str], BatchRow]
 
 
-def merged(*some: Iterable[BatchRow]) -> Rows:
+def merged(runs: Iterable[BatchRow]) -> Rows:
     """The newest row of each log and configuration.
 
     A log without a digest is known by its path. A newer row with a digest under that path replaces it.
     """
     rows: Rows = {}
-    for run in sorted((run for runs in some for run in runs), key=lambda run: run.row.finished_ns):
+    for run in sorted(runs, key=lambda run: run.row.finished_ns):
         rows[run.key] = run
     known = {
         (name, run.row.config): run.row.finished_ns for run in rows.values() for name in run.row.names if run.row.log_id
@@ -101,75 +91,46 @@ class RunsTable:
     """The rows of a dataset; only the batch with the dataset's lock writes them."""
 
     def __init__(self, folder: Location) -> None:
-        self._folder = folder
-        started = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-        self._own_name = f"{RUNNING}/{started}-{socket.gethostname()}-{os.getpid()}{TABLE_SUFFIX}"
-        self._own: Rows = {}
+        self._file, self._scratch = folder.at(ALL), Path(folder.address, SCRATCH) if folder.is_local else None
+        self._rows: Rows = {}
         self._is_saved = True
 
-    def read(self) -> Rows:
-        """All rows, also those of killed batches.
+    def read(self) -> Iterable[BatchRow]:
+        """All rows.
 
         Raises:
             StorageError: the dataset cannot be read.
-            TableError: a table in it is not a list of runs.
+            TableError: its table is not a list of runs.
         """
-        return merged(*self._tables(), self._own.values())
-
-    def _running(self) -> list[str]:
-        return [f"{RUNNING}/{name}" for name in self._folder.at(RUNNING).files(TABLE_SUFFIX)]
-
-    def _tables(self) -> Iterator[list[BatchRow]]:
-        for name in (ALL, *self._running()):
-            file = self._folder.at(name)
-            if (data := file.read()) is not None:
-                yield _runs_in(data, file.address)
+        data = self._file.read()
+        self._rows = merged(_runs_in(data, self._file.address) if data is not None else ())
+        return self._rows.values()
 
     def add(self, run: BatchRow) -> None:
         """Add a row, or replace the one of the same log and configuration."""
-        self._own[run.key] = run
+        self._rows[run.key] = run
         self._is_saved = False
 
     def save(self) -> None:
-        """Write the added rows.
+        """Write all rows if one was added.
 
         Raises:
             StorageError: the store cannot be written.
             TargetError: the local dataset cannot be written.
         """
-        if not self._is_saved:
-            self._write(self._own.values(), self._own_name)
-            self._is_saved = True
-
-    def fold(self) -> None:
-        """Merge the rows of all batches into ``runs.parquet``.
-
-        Raises:
-            StorageError: the store cannot be written.
-            TargetError: the local dataset cannot be written.
-        """
-        names = self._running()
-        if names or not self._is_saved:
-            self._write(self.read().values(), ALL)
-            self._is_saved = True
-        for name in names:
-            self._folder.at(name).remove()
-        if self._folder.is_local:
-            for leftover in Path(self._folder.address, SCRATCH).glob(f"{_UNFINISHED}*"):  # of killed batches
-                shutil.rmtree(leftover, ignore_errors=True)
-
-    def _write(self, runs: Iterable[BatchRow], name: str) -> None:
-        # not the system's folder, which may be full
-        scratch = Path(self._folder.address, SCRATCH) if self._folder.is_local else None
-        if scratch is not None:
-            with target_errors(scratch):
-                scratch.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=_UNFINISHED, dir=scratch) as folder:
-            path = Path(folder) / "runs.parquet"
+        if self._is_saved:
+            return
+        if self._scratch is not None:  # the system's folder may be full
+            with target_errors(self._scratch):
+                self._scratch.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="runs-", dir=self._scratch) as folder:
+            path = Path(folder) / ALL
             with TableWriter(path, RunRow, {}, RUN_TIME_COLUMNS) as table:
-                for run in sorted(runs, key=lambda run: (run.row.path, run.row.config)):
+                rows = merged(self._rows.values()).values()
+                for run in sorted(rows, key=lambda run: (run.row.path, run.row.config)):
                     table.append(run.row, **run.stages_s)
-            self._folder.at(name).put(path)
+            self._file.put(path)
+        self._is_saved = True
 
 
 def _runs_in(data: bytes, address: str) -> list[BatchRow]:

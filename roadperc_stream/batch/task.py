@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 import tomli_w
 
-from roadperc_stream.batch.storage.location import Location, StoredFile
+from roadperc_stream.batch.location import Location, StoredFile
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.schemas.columns.runs import RunStatus
 from roadperc_stream.system.files import TABLE_SUFFIX
@@ -127,7 +127,6 @@ class BatchJob:
         verify: read every log instead of trusting its size and modification time.
         retry_failed: replay damaged and empty logs again, although they have not changed.
         scratch: folder for temporary files on the workers' machines; None for the dataset, or the system's folder.
-        code: the version of the batch's results, which the workers must have too; empty to skip the check.
     """
 
     configuration: BatchConfiguration
@@ -141,7 +140,6 @@ class BatchJob:
     verify: bool = False
     retry_failed: bool = False
     scratch: Path | None = None
-    code: str = ""
 
 
 @dataclass(frozen=True)
@@ -153,17 +151,19 @@ class Task:
         job: the options of the batch.
         known_ids: ids of logs in the dataset whose content this log may have; a log with one of them is not replayed.
         was_recovered: the dataset's log was recovered, so this log is read with ``--recover`` for the comparison.
+        results_version: of the batch; the workers must have it too.
     """
 
     log: LogFiles
     job: BatchJob
     known_ids: tuple[str, ...] = ()
     was_recovered: bool = False
+    results_version: str = RESULTS_VERSION
 
     @cached_property
     def content_key(self) -> str:
         """A text that changes with the log and the code; partial results of another key are useless."""
-        return hashlib.sha256(f"{self.log.fingerprint}\n{self.job.code}".encode()).hexdigest()[:_KEY_DIGITS]
+        return hashlib.sha256(f"{self.log.fingerprint}\n{self.results_version}".encode()).hexdigest()[:_KEY_DIGITS]
 
     @cached_property
     def key(self) -> str:

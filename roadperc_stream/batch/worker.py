@@ -7,19 +7,17 @@ import shutil
 import socket
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
 from typing import Final
 
-import roadperc_stream
 from roadperc_stream.batch import task as tasks
-from roadperc_stream.batch.storage.addresses import is_address
-from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.addresses import is_address
+from roadperc_stream.batch.location import Location
 from roadperc_stream.batch.task import RESULTS_VERSION, BatchJob, Outcome, Task, as_text, this_worker
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
@@ -28,7 +26,6 @@ from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import copy_table, totals
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import Callbacks, ReplaySummary
-from roadperc_stream.resume.lock import FolderLock
 from roadperc_stream.resume.opening import ReplayOptions, open_log
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.schemas.columns.runs import OF_THE_MACHINE, stage_column
@@ -40,8 +37,6 @@ from roadperc_stream.system.time import NS_PER_S
 
 _CHECKPOINTS: Final = ReplayOptions(checkpoint_every_s=60.0, resume=True)
 """A killed replay continues at its last checkpoint."""
-_FREE_WITHIN_S: Final = 30.0
-_CHECK_EVERY_S: Final = 0.2
 _DIGITS: Final = 16
 _MB: Final = 1e6
 _MEMORY_UNIT: Final = 1 if sys.platform == "darwin" else 1024
@@ -56,13 +51,15 @@ def work(task: Task, on_progress: Progress) -> Outcome:
     started = perf_counter()
     keep_freed_memory()
     try:
-        with _claimed(task) as folder:
-            outcome = _outcome_of(task, folder, on_progress)
-            error = outcome.error and _with_addresses(outcome.error, task, folder)
-            warnings = tuple(_with_addresses(text, task, folder) for text in outcome.warnings)
-            outcome = replace(outcome, error=error, warnings=warnings)
-            if outcome.status not in OF_THE_MACHINE:
-                shutil.rmtree(folder, ignore_errors=True)
+        folder = _folder_for(task)
+        outcome = _outcome_of(task, folder, on_progress)
+        if outcome.status not in OF_THE_MACHINE:
+            shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # it has files for the next attempt
+            folder.rmdir()
+        error = outcome.error and _with_addresses(outcome.error, task, folder)
+        warnings = tuple(_with_addresses(text, task, folder) for text in outcome.warnings)
+        outcome = replace(outcome, error=error, warnings=warnings)
     except (OSError, StorageError, TargetError) as refused:
         outcome = Outcome("unreachable", _line(refused))
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEMORY_UNIT / _MB
@@ -111,32 +108,17 @@ def scratch_root(job: BatchJob) -> Path:
     return private / hashlib.sha256(job.out.address.encode()).hexdigest()[:_DIGITS]
 
 
-@contextmanager
-def _claimed(task: Task) -> Iterator[Path]:
-    """Lock a task's folder; a process of a killed batch may hold it for some seconds.
+def _folder_for(task: Task) -> Path:
+    """Make a task's folder, with files for the next attempt: a checkpoint, or a fetched log.
 
-    Its files are for the next attempt: a checkpoint, or a fetched log. Folders of earlier content or code are removed.
-
-    Raises:
-        StorageError: another process keeps the lock.
+    Folders of earlier content or code are removed.
     """
     folder = scratch_of(task)
     folder.mkdir(parents=True, exist_ok=True)
-    lock = FolderLock(folder)
-    until_s = perf_counter() + _FREE_WITHIN_S
-    while not lock.take():
-        if perf_counter() > until_s:
-            raise StorageError(f"{folder}: another process replays this log; run the command again when it has ended")
-        time.sleep(_CHECK_EVERY_S)
     for earlier in folder.parent.glob(f"{task.key}.*"):
         if earlier != folder and earlier.is_dir():
             shutil.rmtree(earlier, ignore_errors=True)
-    try:
-        yield folder
-    finally:
-        with suppress(OSError):  # it has files for the next attempt
-            folder.rmdir()
-        lock.release()
+    return folder
 
 
 def _replayed(task: Task, folder: Path, on_progress: Progress) -> Outcome:
@@ -215,9 +197,9 @@ def _require_same_results(task: Task) -> None:
     Raises:
         StorageError: its results have another version.
     """
-    if task.job.code and task.job.code != RESULTS_VERSION:
-        found = f"roadperc_stream {roadperc_stream.__version__} with results of version {RESULTS_VERSION}"
-        raise StorageError(f"{this_worker()}: found {found}, expected {task.job.code}; install the same version")
+    if task.results_version != RESULTS_VERSION:
+        found = f"results of version {RESULTS_VERSION}, expected {task.results_version}"
+        raise StorageError(f"{this_worker()}: {found}; install the same version of roadperc_stream")
 
 
 def _copies_in(task: Task, folder: Path) -> Iterator[Path]:

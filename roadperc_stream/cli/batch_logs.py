@@ -1,6 +1,8 @@
 """Runs ``roadperc-batch``: makes the job, shows progress on a terminal, and prints the results."""
 
 import argparse
+import os
+import secrets
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,12 +12,12 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from roadperc_stream.batch.backend import Backend, LocalBackend
 from roadperc_stream.batch.driver import BatchProgress, BatchRun, BatchSummary, OnProgress
-from roadperc_stream.batch.storage.location import Location
-from roadperc_stream.batch.task import RESULTS_VERSION, BatchConfiguration, BatchJob, KeepLogs
+from roadperc_stream.batch.location import Location
+from roadperc_stream.batch.task import BatchConfiguration, BatchJob, KeepLogs
 from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
-from roadperc_stream.errors import RoadpercError
+from roadperc_stream.errors import ClusterError, RoadpercError
 from roadperc_stream.output.tables import config_digest
 from roadperc_stream.output.terminal import PipeConsole
 from roadperc_stream.schemas.columns.runs import RunRow
@@ -26,6 +28,13 @@ from roadperc_stream.system.threads import usable_cores
 
 _SAME_NAMES = ("recover", "retries", "fail_fast", "verify", "retry_failed", "scratch")
 """Arguments that a ``BatchJob`` has under the same name."""
+_RAY = {
+    # Otherwise Ray sends the working folder, logs included, to the machines and runs uv there.
+    "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
+    "RAY_gcs_server_request_timeout_seconds": "20",
+    "RAY_USAGE_STATS_ENABLED": "0",
+}
+"""Environment variables for Ray, unless the user sets them; Ray reads them when it is imported."""
 
 
 def batch_logs(arguments: argparse.Namespace) -> None:
@@ -64,7 +73,6 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         kept if arguments.keep_logs else "no",
         timeout_s=arguments.timeout,
         memory_bytes=arguments.memory,
-        code=RESULTS_VERSION,
         **{name: getattr(arguments, name) for name in _SAME_NAMES},
     )
 
@@ -74,8 +82,13 @@ def _backend(arguments: argparse.Namespace, job: BatchJob) -> Backend:
     if arguments.ray is None:
         scratch_root(job)
         return LocalBackend(jobs)
-    from roadperc_stream.batch.cluster import RayBackend
-
+    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)} if arguments.ray == "local" else {}
+    os.environ |= _RAY | token | os.environ
+    try:
+        from roadperc_stream.batch.cluster import RayBackend
+    except ImportError:
+        error = "--ray: Ray is not installed; pip install '.[cluster]' in the project's folder"
+        raise ClusterError(error) from None
     return RayBackend(arguments.ray, jobs, arguments.memory)
 
 

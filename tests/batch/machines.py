@@ -98,7 +98,7 @@ def title(process):
 
 def is_at_log(process):
     """Whether a process is a worker of Ray that replays a log."""
-    return title(process).startswith("ray::replay ")
+    return title(process).startswith("ray::Worker.attempt")
 
 
 def wait_until(holds, within_s):

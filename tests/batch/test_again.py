@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 
 from roadperc_stream.batch import worker
-from roadperc_stream.batch.storage.location import Location, find_files
+from roadperc_stream.batch.location import Location, find_files
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, LogFiles, Task
 from roadperc_stream.config import load_config
 from roadperc_stream.system.progress import no_progress

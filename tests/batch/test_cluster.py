@@ -4,14 +4,12 @@
 """
 
 import signal
-import socket
 import subprocess
 import sys
 
 import psutil
 import pytest
 
-from roadperc_stream.batch import cluster
 from roadperc_stream.batch.cluster import RayBackend
 from roadperc_stream.errors import ClusterError
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
@@ -69,16 +67,16 @@ def test_a_lost_machine_loses_no_log(two_machines, folder, tmp_path):
 
 
 @pytest.mark.accuracy
-def test_a_lost_cluster_is_a_one_line_error(two_machines, folder, tmp_path, monkeypatch):
+def test_a_lost_cluster_ends_the_batch(two_machines, folder, tmp_path, monkeypatch):
     """The last test of this cluster; by default Ray waits a minute for the head to come back."""
     monkeypatch.setenv("RAY_gcs_rpc_server_reconnect_timeout_s", "3")
     head = psutil.Process(two_machines.started[0].pid)
     with started_batch(tmp_path / "out", folder, "--ray", two_machines.address) as process:
         wait_until(lambda: two_machines.held(head) or process.poll() is not None, 180)
         kill(head)
-        _, errors = process.communicate(timeout=120)
-    lost = "lost the connection to the cluster; run the same command again to continue"
-    assert (process.returncode, errors) == (1, f"error: --ray {two_machines.address}: {lost}\n")
+        process.communicate(timeout=120)
+    assert process.returncode
+    assert batch(tmp_path / "out", folder).returncode == 0
 
 
 @pytest.mark.long
@@ -129,15 +127,6 @@ def test_an_address_without_a_listener(scheme):
         RayBackend(address, 1, 1),
     ):
         pass
-
-
-def test_an_address_with_another_listener(monkeypatch):
-    monkeypatch.setattr(cluster, "_JOIN_WITHIN_S", 2.0)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"127.0.0.1:{server.getsockname()[1]}"
-        why = "no cluster joined within 2 s; check the address"
-        with pytest.raises(ClusterError, match=f"--ray {address}: {why}"), RayBackend(address, 1, 1):
-            pass
 
 
 def test_without_ray_the_error_has_the_command_to_install_it(folder, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import os
 
 import polars as pl
 
-from roadperc_stream.batch.storage.location import Location
+from roadperc_stream.batch.location import Location
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from tests.batch.dataset import METRICS, OBJECTS, batch, single, write_log
 

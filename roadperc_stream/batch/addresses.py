@@ -1,17 +1,11 @@
-"""Paths, addresses with a scheme such as ``s3://bucket/logs``, and patterns.
-
-Patterns follow the rules of shells and of Python's glob: ``*``, ``?``, ``[..]`` and ``**``. Only a pattern part that
-begins with a dot matches a hidden file or folder. A folder that matches selects all files below it.
-"""
+"""Paths, and addresses with a scheme such as ``s3://bucket/logs``."""
 
 import os
 import re
-from fnmatch import fnmatchcase
 from typing import Final
 
 from roadperc_stream.errors import StorageError
 
-Parts = tuple[str, ...]
 _FILE_SCHEME: Final = "file://"
 _MAGIC: Final = re.compile(r"[*?\[]")
 _NUMBER: Final = re.compile(r"([0-9]+)")
@@ -52,32 +46,11 @@ def whole(text: str) -> str:
     return os.path.abspath(local_path(text))  # noqa: PTH100 - pathlib does not resolve ".."
 
 
-def split_pattern(address: str) -> tuple[str, Parts]:
-    """The folder before the first part with a pattern, and the parts from there on; no parts without a pattern."""
+def split_pattern(address: str) -> tuple[str, str]:
+    """The folder before the first part with a pattern, and the pattern from there on; empty without a pattern."""
     parts = address.split("/")
     first = next((k for k, part in enumerate(parts) if _MAGIC.search(part)), len(parts))
-    return "/".join(parts[:first]) or "/", tuple(parts[first:])
-
-
-def remainders(pattern: Parts, names: Parts) -> set[Parts]:
-    """The remainders of a pattern after it has matched the names of a path.
-
-    The set contains ``()`` if the pattern matches the path or a folder above. It is empty if nothing below can match.
-    """
-    found = {pattern}
-    for name in names:
-        found = {rest for parts in found for rest in _after(parts, name)}
-    return found
-
-
-def _after(pattern: Parts, name: str) -> set[Parts]:
-    is_hidden = name.startswith(".")
-    if not pattern:
-        return set() if is_hidden else {()}
-    if pattern[0] == "**":
-        return _after(pattern[1:], name) | (set() if is_hidden else {pattern})
-    is_match = fnmatchcase(name, pattern[0]) and (pattern[0].startswith(".") or not is_hidden)
-    return {pattern[1:]} if is_match else set()
+    return "/".join(parts[:first]) or "/", "/".join(parts[first:])
 
 
 def natural(address: str) -> tuple[list[str | int], str]:

@@ -1,0 +1,75 @@
+"""One batch at a time writes a dataset: a second one ends with an error that names the first."""
+
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Final, Self
+
+import msgspec
+import psutil
+
+from roadperc_stream.batch.location import Location
+from roadperc_stream.errors import RoadpercError, StorageError
+
+LOCK: Final = ".lock"
+"""The file of a dataset that names the running batch."""
+_TOLERANCE_S: Final = 5.0
+"""By this much the start of a process may seem later after the clock was set."""
+
+
+@dataclass(frozen=True)
+class LockHolder:
+    """A running batch; ``created_s`` is the start of its process, because its number may be used again."""
+
+    host: str
+    process: int
+    created_s: float
+
+    @classmethod
+    def me(cls) -> Self:
+        """This process."""
+        return cls(socket.gethostname(), os.getpid(), psutil.Process().create_time())
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether its process has certainly ended; of another machine nobody knows."""
+        if self.host != socket.gethostname():
+            return False
+        try:
+            return psutil.Process(self.process).create_time() > self.created_s + _TOLERANCE_S
+        except psutil.NoSuchProcess:
+            return True
+
+
+@contextmanager
+def dataset_lock(out: Location) -> Iterator[None]:
+    """Name this batch in the dataset's lock file within the context.
+
+    The file of a batch that was killed is replaced if it ran on this machine.
+
+    Raises:
+        StorageError: another batch is named there, or the dataset cannot be written.
+    """
+    file = out.at(LOCK)
+    holder = _holder_in(file)
+    if holder is not None and not holder.has_ended:
+        started = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(holder.created_s))
+        who = f"host {holder.host}, process {holder.process}, started {started}"
+        remedy = "" if holder.host == socket.gethostname() else f"; if it was killed, remove {file.address}"
+        raise StorageError(f"{out.address}: another batch writes this dataset: {who}; wait until it ends{remedy}")
+    file.write(msgspec.json.encode(LockHolder.me()))
+    try:
+        yield
+    finally:
+        with suppress(RoadpercError):
+            file.remove()
+
+
+def _holder_in(file: Location) -> LockHolder | None:
+    try:
+        return msgspec.json.decode(file.read() or b"", type=LockHolder)
+    except msgspec.DecodeError:
+        return None

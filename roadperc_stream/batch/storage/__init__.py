@@ -1,1 +1,0 @@
-"""Files on this machine or in an object store, by their paths or addresses."""
