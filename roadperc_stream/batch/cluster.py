@@ -6,6 +6,7 @@ import socket
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -68,6 +69,8 @@ class RayBackend(AbstractContextManager["RayBackend"]):
         self.slots = 0
         self.running: Mapping[str, Frames] = {}
         self._tasks: dict[Any, tuple[Task, Any]] = {}
+        self._waiting: deque[Task] = deque()
+        self._starting: dict[Any, Any] = {}
         self._idle: list[Any] = []
         self._largest_bytes = 0
         self._state_at_s = 0.0
@@ -91,35 +94,52 @@ class RayBackend(AbstractContextManager["RayBackend"]):
         self._exits.close()
 
     def submit(self, task: Task) -> None:
-        """Start a task in a waiting worker, or in a new one."""
-        worker = self._idle.pop() if self._idle else self._new_worker()
-        self._tasks[worker.attempt.remote(task)] = task, worker
-
-    def _new_worker(self) -> Any:
-        """A worker with at most the memory of the largest machine; Ray never starts one that asks for more."""
-        memory_bytes = min(self._memory_bytes, self._largest_bytes)
-        return ray.remote(Worker).options(num_cpus=1, memory=memory_bytes, max_concurrency=2).remote()
+        """Start a task as soon as a worker is free."""
+        self._waiting.append(task)
+        self._assign()
 
     def wait(self, timeout_s: float) -> list[tuple[Task, Outcome]]:
         """The tasks that ended since the last call."""
         if time.monotonic() > self._state_at_s:
             self._update()
             self._state_at_s = time.monotonic() + _STATE_EVERY_S
-        if not self._tasks:
+        references = [*self._tasks, *self._starting]
+        if not references:
             time.sleep(timeout_s)
             return []
-        ended, _ = ray.wait(list(self._tasks), timeout=timeout_s)
-        return [self._ended(reference) for reference in ended]
+        answered, _ = ray.wait(references, timeout=timeout_s)
+        ended = [end for reference in answered if (end := self._ended(reference)) is not None]
+        self._assign()
+        return ended
 
-    def _ended(self, reference: Any) -> tuple[Task, Outcome]:
-        """The task and its outcome; a worker that died is not used again."""
-        task, worker = self._tasks.pop(reference)
+    def _assign(self) -> None:
+        """Give the waiting tasks to idle workers, and start a worker for each of the others.
+
+        A worker may never start, because its CPU was lost; its task then waits for one that becomes idle.
+        """
+        while self._waiting and self._idle:
+            task, worker = self._waiting.popleft(), self._idle.pop()
+            self._tasks[worker.attempt.remote(task)] = task, worker
+        while len(self._starting) < len(self._waiting):
+            # Ray never starts a worker that asks for more memory than the largest machine has.
+            memory_bytes = min(self._memory_bytes, self._largest_bytes)
+            new: Any = ray.remote(Worker).options(num_cpus=1, memory=memory_bytes, max_concurrency=2).remote()
+            self._starting[new.frames.remote()] = new
+
+    def _ended(self, reference: Any) -> tuple[Task, Outcome] | None:
+        """The task that ended, and its outcome; None if a worker has started.
+
+        A worker that died is not used again. If it could not start, the task that waited for it has failed.
+        """
+        is_new = reference in self._starting
+        task, worker = (None, self._starting.pop(reference)) if is_new else self._tasks.pop(reference)
         try:
-            outcome: Outcome = ray.get(reference)
+            outcome = ray.get(reference)
+            self._idle.append(worker)
         except RayError as error:
-            return task, Outcome("killed", f"the worker of Ray ended: {_line(error)}")
-        self._idle.append(worker)
-        return task, outcome
+            task = self._waiting.popleft() if is_new and self._waiting else task
+            outcome = Outcome("killed", f"the worker of Ray ended: {_line(error)}")
+        return (task, outcome) if task is not None else None
 
     def _update(self) -> None:
         """Ask for the machines and the progress; Ray's own sum of resources counts lost machines for a while."""
