@@ -98,7 +98,11 @@ def title(process):
 
 def is_at_log(process):
     """Whether a process is a worker of Ray that replays a log."""
-    return title(process).startswith("ray::Worker.attempt")
+    if not title(process).startswith("ray::Worker"):
+        return False
+    with suppress(psutil.Error):
+        return any("forkserver" in title(child) and child.children() for child in process.children())
+    return False
 
 
 def wait_until(holds, within_s):

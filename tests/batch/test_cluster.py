@@ -131,6 +131,7 @@ def test_an_address_without_a_listener(scheme):
 
 def test_without_ray_the_error_has_the_command_to_install_it(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "roadperc_stream.batch.cluster")
     done = batch(tmp_path / "out", folder, "--ray", "local")
     install = "pip install '.[cluster]' in the project's folder"
     assert (done.returncode, done.stderr) == (1, f"error: --ray: Ray is not installed; {install}\n")
