@@ -12,8 +12,6 @@ from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).parents[1]
 SCRIPTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-BUFFERINGS = ("buffered", "unbuffered")
-"""Of stdout: where it is buffered, what nobody reads is met when it is flushed; else when it is printed."""
 
 
 def words(command, *arguments):
@@ -55,19 +53,6 @@ def _server(_pid):
     return server
 
 
-def environment(buffering="buffered", **variables):
-    """This process's environment with stdout buffered or not, and more variables."""
-    return os.environ | variables | ({"PYTHONUNBUFFERED": "1"} if buffering == "unbuffered" else {})
-
-
-def status(command, state, buffering="buffered"):
-    """Exit code of a command whose stdout and stderr are closed, or pipes that nobody reads."""
-    options = {"timeout": 60, "env": environment(buffering)}
-    if state == "closed":
-        return subprocess.run(["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *command], check=False, **options).returncode
-    reading, writing = os.pipe()
-    os.close(reading)
-    try:
-        return subprocess.run(command, check=False, stdout=writing, stderr=writing, **options).returncode
-    finally:
-        os.close(writing)
+def environment(**variables):
+    """This process's environment, and more variables."""
+    return os.environ | variables

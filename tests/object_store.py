@@ -91,15 +91,11 @@ class BreakingProxy:
         target: port of the server.
         after_bytes: a connection breaks after this many bytes in either direction.
         breaks: number of connections that still break.
-        first_bytes: bytes of all connections before the first break.
-        brought_bytes: bytes received from the server.
     """
 
     target: int
     after_bytes: int
     breaks: int
-    first_bytes: int = 0
-    brought_bytes: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __enter__(self):
@@ -119,19 +115,17 @@ class BreakingProxy:
             while True:
                 client = self._listening.accept()[0]
                 server = socket.create_connection(("127.0.0.1", self.target))
-                threading.Thread(target=self._pass, args=(client, server, False), daemon=True).start()
-                threading.Thread(target=self._pass, args=(server, client, True), daemon=True).start()
+                for ends in ((client, server), (server, client)):
+                    threading.Thread(target=self._pass, args=ends, daemon=True).start()
 
-    def _pass(self, source, target, is_answer):
-        brought = 0
+    def _pass(self, source, target):
+        passed = 0
         with contextlib.suppress(OSError):
             while data := source.recv(1 << 16):
-                brought += len(data)
-                if brought > self.after_bytes and self._breaks_now():
+                passed += len(data)
+                if passed > self.after_bytes and self._breaks_now():
                     break
                 target.sendall(data)
-                with self._lock:
-                    self.brought_bytes += len(data) * is_answer
         for end in (source, target):
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
@@ -139,6 +133,6 @@ class BreakingProxy:
 
     def _breaks_now(self):
         with self._lock:
-            breaks_now = self.breaks > 0 and self.brought_bytes >= self.first_bytes
+            breaks_now = self.breaks > 0
             self.breaks -= breaks_now
             return breaks_now

@@ -161,7 +161,7 @@ def test_a_stage_does_not_import_other_stages():
     ("library", "folders", "expected"),
     [
         ("mcap", ["roadperc_stream"], {path.name for path in (PACKAGE / "log").glob("*.py")}),
-        ("ray", ["roadperc_stream"], {"ray_session.py"}),  # Ray prints, handles signals and may end its process
+        ("ray", ["roadperc_stream"], {"cluster.py"}),
         # Parquet, object stores, and the report benchmark
         ("pyarrow", ["roadperc_stream", "tools"], {"tables.py", "stores.py", "report.py"}),
     ],

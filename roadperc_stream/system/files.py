@@ -107,16 +107,9 @@ def make_private(folder: Path) -> None:
         with suppress(FileExistsError):
             folder.mkdir(mode=0o700)
         facts = folder.lstat()
-    fault, mode = "", stat.S_IMODE(facts.st_mode)
-    if not stat.S_ISDIR(facts.st_mode):
-        fault = "is a link or a file"
-    elif facts.st_uid != os.geteuid():
-        fault = f"belongs to user {facts.st_uid}"
-    elif mode & 0o077:
-        fault = f"has mode {mode:o}"
-    if fault:
-        expected = "expected a folder of this user with mode 700"
-        raise TargetError(f"{folder}: {fault}, {expected}; remove it, or name another folder with --scratch")
+    if not stat.S_ISDIR(facts.st_mode) or facts.st_uid != os.geteuid() or facts.st_mode & 0o077:
+        problem = "expected a folder of this user with mode 700; remove it, or name another with --scratch"
+        raise TargetError(f"{folder}: {problem}")
 
 
 def is_bag_folder(path: Path) -> bool:

@@ -16,7 +16,7 @@ from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_l
 from tests.batch.machines import free_port, is_at_log, kill, machines, title, wait_until
 from tests.commands import words
 
-LOGS = 3
+LOGS = 6
 INTERRUPTED = "interrupted; run the same command again to continue"
 
 
@@ -33,7 +33,7 @@ def two_machines():
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     for number in range(LOGS):
-        write_log(folder / f"log_{number}.mcap", frames=10 + number, lane_m=0.05 * number)
+        write_log(folder / f"log_{number}.mcap", frames=20 + number, lane_m=0.05 * number)
     return folder
 
 
