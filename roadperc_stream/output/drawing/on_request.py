@@ -12,7 +12,7 @@ from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.geometry import Camera, Float32
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import colours
-from roadperc_stream.output.drawing.canvas import Colour, Pen, polyline, write_on_plate
+from roadperc_stream.output.drawing.canvas import Canvas, Colour
 from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_frame
 from roadperc_stream.schemas import topics
@@ -39,24 +39,22 @@ def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
     ``image_bgr`` is the (H, W, 3) camera image of the lanes.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas.shape)
     if lanes.edges is not None:
-        canvas[lanes.edges] = _EDGE
+        canvas.pixels[lanes.edges] = _EDGE
     chosen = [boundary.raw_px for boundary in lanes.boundaries if boundary.raw_px is not None]
     for lines, colour, width_px in (
-        (np.array(chosen).reshape(-1, 4), _CHOSEN, 3 * pen.line_px),
-        (lanes.merged_px, _MERGED, pen.line_px),
-        (lanes.proposals_px, _PROPOSED, max(pen.line_px // 2, 1)),
+        (np.array(chosen).reshape(-1, 4), _CHOSEN, 3 * canvas.line_px),
+        (lanes.merged_px, _MERGED, canvas.line_px),
+        (lanes.proposals_px, _PROPOSED, max(canvas.line_px // 2, 1)),
     ):
         for line in lines:
-            polyline(canvas, line.reshape(2, 2), colour, width_px, pen)
+            canvas.polyline(line.reshape(2, 2), colour, width_px)
     legend = (
         (f"{len(lanes.proposals_px)} proposed", _PROPOSED),
         (f"{len(lanes.merged_px)} merged", _MERGED),
         (f"{len(chosen)} chosen", _CHOSEN),
     )
-    _draw_legend(canvas, legend, pen)
-    return canvas
+    return _with_legend(canvas, legend)
 
 
 def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Image:
@@ -65,16 +63,14 @@ def matches_picture(image_bgr: model.Image, matches: model.Matches) -> model.Ima
     ``image_bgr`` is the (H, W, 3) camera image of the matches.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas.shape)
     groups = ((~matches.inliers, _OUTLIER, "outliers"), (matches.inliers, _INLIER, "inliers"))
     for chosen, colour, _ in groups:
         for start, end in zip(matches.key_px[chosen], matches.px[chosen], strict=True):
-            polyline(canvas, np.array((start, end), float), colour, max(pen.line_px // 2, 1), pen)
+            canvas.polyline(np.array((start, end), float), colour, max(canvas.line_px // 2, 1))
             dot = round(float(end[0])), round(float(end[1]))
-            cv2.circle(canvas, dot, pen.line_px, colour, cv2.FILLED, cv2.LINE_AA)
+            cv2.circle(canvas.pixels, dot, canvas.line_px, colour, cv2.FILLED, cv2.LINE_AA)
     legend = [(f"{np.count_nonzero(chosen)} {name}", colour) for chosen, colour, name in reversed(groups)]
-    _draw_legend(canvas, legend, pen)
-    return canvas
+    return _with_legend(canvas, legend)
 
 
 def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlation]) -> model.Image:
@@ -83,18 +79,16 @@ def template_picture(image_bgr: model.Image, searches: Iterable[model.Correlatio
     ``image_bgr`` is the (H, W, 3) camera image of the searches, which include objects that were not found.
     """
     canvas = _dimmed(image_bgr)
-    pen = Pen.of(canvas.shape)
     for search in searches:
-        _lay_heat(canvas, search)
+        _lay_heat(canvas.pixels, search)
     for search in searches:
         place, score = search.peak
         if np.isfinite(score):
             corners = [(place.x_min, place.y_min), (place.x_max - 1, place.y_max - 1)]
             (x0, y0), (x1, y1) = (tuple(round(v) for v in corner) for corner in corners)
-            cv2.rectangle(canvas, (x0, y0), (x1, y1), _PEAK, max(pen.line_px // 2, 1))
-            write_on_plate(canvas, f"{score:.2f}", (x0, y1 + 1), _PEAK, pen)
-    _draw_legend(canvas, [("correlation, at the patch's middle: blue -1 to red 1", _PEAK)], pen)
-    return canvas
+            cv2.rectangle(canvas.pixels, (x0, y0), (x1, y1), _PEAK, max(canvas.line_px // 2, 1))
+            canvas.write_on_plate(f"{score:.2f}", (x0, y1 + 1), _PEAK)
+    return _with_legend(canvas, [("correlation, at the patch's middle: blue -1 to red 1", _PEAK)])
 
 
 def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth) -> model.Image:
@@ -106,10 +100,9 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.float32(left.fx * baseline_m / most_px) / stereo.depth_m
     known = np.isfinite(share)
-    canvas = _turbo(np.where(known, share, np.float32(0)))
-    canvas[~known] = 0
-    _draw_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)], Pen.of(canvas.shape))
-    return canvas
+    canvas = Canvas(_turbo(np.where(known, share, np.float32(0))))
+    canvas.pixels[~known] = 0
+    return _with_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)])
 
 
 def _turbo(share: Float32) -> model.Image:
@@ -118,26 +111,28 @@ def _turbo(share: Float32) -> model.Image:
     return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO), np.uint8)
 
 
-def _dimmed(image_bgr: model.Image) -> model.Image:
+def _dimmed(image_bgr: model.Image) -> Canvas:
     """A grey, dark copy, for contrast with the drawing."""
     grey = cv2.cvtColor(image_bgr, cv2.COLOR_BGR2GRAY)
-    return np.asarray(cv2.cvtColor(cv2.convertScaleAbs(grey, alpha=_DIMMED), cv2.COLOR_GRAY2BGR), np.uint8)
+    dark = cv2.cvtColor(cv2.convertScaleAbs(grey, alpha=_DIMMED), cv2.COLOR_GRAY2BGR)
+    return Canvas(np.asarray(dark, np.uint8))
 
 
-def _lay_heat(canvas: model.Image, search: model.Correlation) -> None:
+def _lay_heat(picture: model.Image, search: model.Correlation) -> None:
     """Blend in the scores, each at the middle of its patch; scores that are not finite are left out."""
     rows, columns = search.scores.shape
     x, y = search.x_px + (search.template_px[0] - 1) // 2, search.y_px + (search.template_px[1] - 1) // 2
-    covered = canvas[y : y + rows, x : x + columns]
+    covered = picture[y : y + rows, x : x + columns]
     known = np.isfinite(search.scores)
     heat = _turbo((np.where(known, search.scores, np.float32(-1)) + np.float32(1)) / np.float32(2))
     covered[known] = cv2.addWeighted(covered, 1 - _HEAT, heat, _HEAT, 0)[known]
 
 
-def _draw_legend(canvas: model.Image, phrases: Iterable[tuple[str, Colour]], pen: Pen) -> None:
-    """Write the meaning of the colours as lines in the upper left corner."""
+def _with_legend(canvas: Canvas, phrases: Iterable[tuple[str, Colour]]) -> model.Image:
+    """The picture with the meaning of the colours as lines in the upper left corner."""
     for row, (text, colour) in enumerate(phrases):
-        write_on_plate(canvas, text, (0, row * pen.row_px), colour, pen)
+        canvas.write_on_plate(text, (0, row * canvas.row_px), colour)
+    return canvas.pixels
 
 
 _JPEG_QUALITY: Final = 85
@@ -156,26 +151,17 @@ def picture_messages(
 
     ``first_ns`` is the stamp of the log's first frame.
     """
-    for topic, frame_id, picture in _drawn(requests, sample, result, metrics, first_ns) if requests else ():
-        jpeg = encode_jpeg(picture, _JPEG_QUALITY)
-        yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
-
-
-def _drawn(
-    requests: Collection[topics.Request],
-    sample: model.Sample,
-    result: model.FrameResult,
-    metrics: FrameMetrics,
-    first_ns: int,
-) -> Iterator[Picture]:
-    image = _pixels(sample.frame.image)
+    image = _pixels(sample.frame.image) if requests else None
     fits = image is not None and image.shape[:2] == sample.frame.camera.size
+    pictures = list(_debug(sample.frame, image if fits else None, result)) if "debug" in requests else []
     if image is not None and "overlay" in requests:
         frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
         since_start_s = ns_to_seconds(result.stamp_ns - first_ns)
-        yield topics.OVERLAY_TOPIC, result.frame_id, draw_frame(frame, metrics, since_start_s, image.shape[1])
-    if "debug" in requests:
-        yield from _debug(sample.frame, image if fits else None, result)
+        overlay = draw_frame(frame, metrics, since_start_s, image.shape[1])
+        pictures.insert(0, (topics.OVERLAY_TOPIC, result.frame_id, overlay))
+    for topic, frame_id, picture in pictures:
+        jpeg = encode_jpeg(picture, _JPEG_QUALITY)
+        yield topic, encoding.encode_image(result.stamp_ns, frame_id, "jpeg", jpeg)
 
 
 def _pixels(image: model.CameraImage | None) -> model.Image | None:

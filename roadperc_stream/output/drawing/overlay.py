@@ -15,20 +15,7 @@ import numpy as np
 from roadperc_stream.model import Absent, Box, Image, Lanes, Mask, Object, Objects
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.annotations import caption
-from roadperc_stream.output.drawing.canvas import (
-    DARK,
-    Colour,
-    Pen,
-    box_outline,
-    dashed_line,
-    edged_lines,
-    polyline,
-    resized,
-    scaled_box,
-    text_size,
-    write,
-    write_on_plate,
-)
+from roadperc_stream.output.drawing.canvas import DARK, Canvas, Colour
 from roadperc_stream.output.drawing.captions import by_nearness, label_places
 from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -98,63 +85,64 @@ def draw_results(frame: PerceivedFrame, width_px: int, top_px: int = 0) -> Image
     Returns:
         (H * width_px / W, width_px, 3) uint8, blue, green, red.
     """
-    scale = width_px / frame.image_bgr.shape[1]
-    canvas = resized(frame.image_bgr, scale)
+    canvas = Canvas.resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
+    _draw_into(canvas, frame, top_px)
+    return canvas.pixels
+
+
+def _draw_into(canvas: Canvas, frame: PerceivedFrame, top_px: int) -> None:
     if not frame.fits:
-        return canvas
-    pen = Pen.of(canvas.shape, scale)
+        return
     if not isinstance(frame.drivable, Absent):
-        mask = cv2.resize(frame.drivable.astype(np.uint8), pen.size, interpolation=cv2.INTER_NEAREST)
-        cv2.copyTo(cv2.LUT(canvas, _TINTED), mask, canvas)
+        mask = cv2.resize(frame.drivable.astype(np.uint8), canvas.size, interpolation=cv2.INTER_NEAREST)
+        cv2.copyTo(cv2.LUT(canvas.pixels, _TINTED), mask, canvas.pixels)
     if not isinstance(frame.lanes, Absent):
-        _draw_lanes(canvas, frame.lanes, pen)
+        _draw_lanes(canvas, frame.lanes)
     if not isinstance(frame.objects, Absent):
-        _draw_objects(canvas, frame.objects.objects, pen, top_px)
-    return canvas
+        _draw_objects(canvas, frame.objects.objects, top_px)
 
 
-def _draw_lanes(canvas: Image, lanes: Lanes, pen: Pen) -> None:
+def _draw_lanes(canvas: Canvas, lanes: Lanes) -> None:
     for boundary in lanes.boundaries:
         if boundary.status != "lost" and len(boundary.line_px):
-            edged_lines(canvas, [boundary.line_px], bgr(colours.BOUNDARY[boundary.status]), pen.broad_px, pen)
+            canvas.edged_lines([boundary.line_px], bgr(colours.BOUNDARY[boundary.status]), canvas.broad_px)
     # The thin raw line is on top of the broad smoothed one, so that both can be compared.
     for boundary in lanes.boundaries:
         if boundary.raw_px is not None:
             ends = np.array(boundary.raw_px).reshape(2, 2)
-            dashed_line(canvas, ends, bgr(colours.RAW_LINE), pen.thin_px, _RAW_DASH * pen.line_px, pen)
+            canvas.dashed_line(ends, bgr(colours.RAW_LINE), canvas.thin_px, _RAW_DASH * canvas.line_px)
 
 
-def _draw_objects(canvas: Image, objects: Sequence[Object], pen: Pen, top_px: int) -> None:
+def _draw_objects(canvas: Canvas, objects: Sequence[Object], top_px: int) -> None:
     """Draw boxes from far to near, then labels that have a place, with a line to boxes that are not next to them."""
-    boxes = [scaled_box(item.detection.box_px, pen) for item in objects]
+    boxes = [canvas.scaled_box(item.detection.box_px) for item in objects]
     for index in reversed(by_nearness(objects)):
-        _draw_box(canvas, objects[index], boxes[index], pen)
-    text_sizes = [text_size(caption(item), pen) for item in objects]
-    places = label_places(pen.size, top_px, objects, boxes, text_sizes)
-    for item, box, place in zip(objects, boxes, places, strict=True):
-        if place is not None and caption(item):
-            _draw_tie(canvas, item, box, place)
-    for item, place in zip(objects, places, strict=True):
-        if place is not None and caption(item):
-            colour = bgr(colours.OBJECT[item.verdict])
-            write_on_plate(canvas, caption(item), (place.x_min, place.y_min), colour, pen)
+        _draw_box(canvas, objects[index], boxes[index])
+    text_sizes = [canvas.text_size(caption(item)) for item in objects]
+    places = label_places(canvas.size, top_px, objects, boxes, text_sizes)
+    found = zip(objects, boxes, places, strict=True)
+    labelled = [(item, box, place) for item, box, place in found if place is not None and caption(item)]
+    for item, box, place in labelled:
+        _draw_tie(canvas, item, box, place)
+    for item, _, place in labelled:
+        canvas.write_on_plate(caption(item), (place.x_min, place.y_min), bgr(colours.OBJECT[item.verdict]))
 
 
-def _draw_box(canvas: Image, item: Object, box: Box, pen: Pen) -> None:
+def _draw_box(canvas: Canvas, item: Object, box: Box) -> None:
     """Draw a box; a small one has thin lines, so that the object stays visible."""
     side_px = min(box.x_max - box.x_min, box.y_max - box.y_min)
-    thickness_px = max(min(pen.line_px, round(side_px / _BOX_LINE)), 1)
-    dash_px = None if item.kept else _BOX_DASH * pen.line_px
-    box_outline(canvas, box, bgr(colours.OBJECT[item.verdict]), thickness_px, pen, dash_px)
+    thickness_px = max(min(canvas.line_px, round(side_px / _BOX_LINE)), 1)
+    dash_px = None if item.kept else _BOX_DASH * canvas.line_px
+    canvas.box_outline(box, bgr(colours.OBJECT[item.verdict]), thickness_px, dash_px)
 
 
-def _draw_tie(canvas: Image, item: Object, box: Box, place: Box) -> None:
+def _draw_tie(canvas: Canvas, item: Object, box: Box, place: Box) -> None:
     """Draw a thin line from a label down to its box, if they are apart."""
     if box.y_min - place.y_max > (place.y_max - place.y_min) / 2:
         x = (box.x_min + box.x_max) / 2
         start = min(max(x, place.x_min + 1), place.x_max - 1), place.y_max
         tie = np.array((start, (x, box.y_min)))
-        polyline(canvas, tie, bgr(colours.OBJECT[item.verdict]), 1, Pen.of(canvas.shape))
+        canvas.unscaled().polyline(tie, bgr(colours.OBJECT[item.verdict]), 1)
 
 
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
@@ -162,53 +150,51 @@ def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: floa
 
     The picture has ``width_px`` columns; ``since_start_s`` are the seconds since the first frame.
     """
-    rows, columns = frame.image_bgr.shape[:2]
-    pen = Pen.of((max(round(rows * width_px / columns), 1), width_px))
-    strip = lines_of((*frame_phrases(metrics, frame.objects, since_start_s), *LEGEND), pen)
-    canvas = draw_results(frame, width_px, len(strip) * pen.row_px)
-    draw_strip(canvas, strip)
-    return canvas
+    canvas = Canvas.resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
+    strip = lines_of((*frame_phrases(metrics, frame.objects, since_start_s), *LEGEND), canvas)
+    _draw_into(canvas, frame, len(strip) * canvas.row_px)
+    draw_strip(canvas.unscaled(), strip)
+    return canvas.pixels
 
 
-def draw_strip(canvas: Image, strip: Sequence[Sequence[tuple[int, Phrase]]]) -> None:
-    """Write lines of phrases, each with its first column, over the topmost rows of the image, (H, W, 3) uint8."""
-    pen = Pen.of(canvas.shape)
-    shaded = canvas[: len(strip) * pen.row_px]
+def draw_strip(canvas: Canvas, strip: Sequence[Sequence[tuple[int, Phrase]]]) -> None:
+    """Write lines of phrases, each with its first column, over the topmost rows of the image."""
+    shaded = canvas.pixels[: len(strip) * canvas.row_px]
     shaded[...] = cv2.addWeighted(shaded, 1 - _SHADE, np.full_like(shaded, DARK), _SHADE, 0)
     for row, line in enumerate(strip):
         for x, phrase in line:
-            _draw_phrase(canvas, phrase, (x, row * pen.row_px), pen)
+            _draw_phrase(canvas, phrase, (x, row * canvas.row_px))
 
 
-def _draw_phrase(canvas: Image, phrase: Phrase, at_px: tuple[int, int], pen: Pen) -> None:
+def _draw_phrase(canvas: Canvas, phrase: Phrase, at_px: tuple[int, int]) -> None:
     if not phrase.symbol:
-        write(canvas, phrase.text, at_px, phrase.colour, pen)
+        canvas.write(phrase.text, at_px, phrase.colour)
         return
     x, y = at_px
-    width, height = _symbol_size(pen)
-    left, top = x + pen.margin_px, y + (pen.row_px - height) // 2
-    _draw_symbol(canvas, phrase, Box(left, top, left + width - 1, top + height - 1), pen)
-    write(canvas, phrase.text, (x + width + 2 * pen.margin_px, y), _PLAIN, pen)
+    width, height = _symbol_size(canvas)
+    left, top = x + canvas.margin_px, y + (canvas.row_px - height) // 2
+    _draw_symbol(canvas, phrase, Box(left, top, left + width - 1, top + height - 1))
+    canvas.write(phrase.text, (x + width + 2 * canvas.margin_px, y), _PLAIN)
 
 
-def _draw_symbol(canvas: Image, entry: Phrase, place: Box, pen: Pen) -> None:
+def _draw_symbol(canvas: Canvas, entry: Phrase, place: Box) -> None:
     """Draw a sample of the overlay's drawing, at the same line width."""
     y = (place.y_min + place.y_max) / 2
     dash_px = (place.x_max - place.x_min) / _SYMBOL_DASHES
     ends = np.array(((place.x_min, y), (place.x_max, y)))
     if entry.symbol == "area":
         first, last = (int(place.x_min), int(place.y_min)), (int(place.x_max), int(place.y_max))
-        cv2.rectangle(canvas, first, last, entry.colour, cv2.FILLED)
+        cv2.rectangle(canvas.pixels, first, last, entry.colour, cv2.FILLED)
     elif entry.symbol == "line":
-        edged_lines(canvas, [ends], entry.colour, pen.broad_px, pen)
+        canvas.edged_lines([ends], entry.colour, canvas.broad_px)
     elif entry.symbol == "dashed line":
-        dashed_line(canvas, ends, entry.colour, pen.thin_px, dash_px, pen)
+        canvas.dashed_line(ends, entry.colour, canvas.thin_px, dash_px)
     else:
-        box_outline(canvas, place, entry.colour, pen.thin_px, pen, dash_px if entry.symbol == "dashed box" else None)
+        canvas.box_outline(place, entry.colour, canvas.thin_px, dash_px if entry.symbol == "dashed box" else None)
 
 
-def _symbol_size(pen: Pen) -> tuple[int, int]:
-    return round(1.4 * pen.text_px), round(0.6 * pen.text_px)
+def _symbol_size(canvas: Canvas) -> tuple[int, int]:
+    return round(1.4 * canvas.text_px), round(0.6 * canvas.text_px)
 
 
 def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_s: float) -> Iterator[Phrase]:
@@ -255,17 +241,17 @@ def _odometry(metrics: FrameMetrics) -> Iterator[Phrase]:
         yield Phrase(f"odometry {text}", bgr(colours.ORANGE) if metrics.odometry_status == "lost" else _PLAIN)
 
 
-def lines_of(phrases: Iterable[Phrase], pen: Pen) -> list[list[tuple[int, Phrase]]]:
+def lines_of(phrases: Iterable[Phrase], canvas: Canvas) -> list[list[tuple[int, Phrase]]]:
     """The phrases with their first columns, as many on a line as fit; a narrow image needs more lines."""
     lines: list[list[tuple[int, Phrase]]] = [[]]
     x = 0
     for phrase in phrases:
-        width, _ = text_size(phrase.text, pen)
+        width, _ = canvas.text_size(phrase.text)
         if phrase.symbol:
-            width += _symbol_size(pen)[0] + 2 * pen.margin_px
-        if lines[-1] and x + width > pen.size[0]:
+            width += _symbol_size(canvas)[0] + 2 * canvas.margin_px
+        if lines[-1] and x + width > canvas.size[0]:
             lines.append([])
             x = 0
         lines[-1].append((x, phrase))
-        x += width + round(_GAP_CHARACTERS * pen.text_px)
+        x += width + round(_GAP_CHARACTERS * canvas.text_px)
     return lines

@@ -22,8 +22,13 @@ from roadperc_stream.view.result_frames import read_rows, require_shown
 _DEPTH_ROLES: Final = ("depth", "truth_depth")
 _TF_ROLES: Final = ("tf", "tf_static")
 _COLUMNS: Final = frozenset(field.name for field in fields(FrameMetrics))
-_SCENES: Final = {topics.DRIVABLE_SCENE_TOPIC, topics.LANES_SCENE_TOPIC, topics.OBJECTS_SCENE_TOPIC}
-_IN_THE_EGO_FRAME: Final = _SCENES | {topics.OCCUPANCY_TOPIC, topics.TF_TOPIC}
+_IN_THE_EGO_FRAME: Final = {
+    topics.DRIVABLE_SCENE_TOPIC,
+    topics.LANES_SCENE_TOPIC,
+    topics.OBJECTS_SCENE_TOPIC,
+    topics.OCCUPANCY_TOPIC,
+    topics.TF_TOPIC,
+}
 """Results that name the ego frame."""
 
 
@@ -43,10 +48,6 @@ class LogContents:
     """Image topics without a role."""
     has_ego_frame: bool = False
     """Whether the log has the ego frame, which the 3D scene follows."""
-
-    def result(self, topic: str) -> str | None:
-        """The topic if it has results, else None."""
-        return topic if topic in self.results else None
 
 
 OF_A_LIVE_REPLAY: Final = LogContents(

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from roadperc_stream.output.drawing.canvas import Pen, box_outline, text_size, write, write_on_plate
+from roadperc_stream.output.drawing.canvas import Canvas
 from tests.analytic import box
 
 WHITE = (255, 255, 255)
 
 
 def written(text="Car 10.7 m", rows=960):
-    canvas = np.zeros((rows, 1280, 3), np.uint8)
-    write(canvas, text, (10, 10), WHITE, Pen.of(canvas.shape))
-    return canvas
+    canvas = Canvas(np.zeros((rows, 1280, 3), np.uint8))
+    canvas.write(text, (10, 10), WHITE)
+    return canvas.pixels
 
 
 def test_a_text_does_not_depend_on_earlier_texts():
@@ -24,15 +24,14 @@ def test_a_text_does_not_depend_on_earlier_texts():
 
 @pytest.mark.parametrize("rows", [240, 480, 960, 2160])
 def test_a_text_stays_within_its_text_size(rows):
-    canvas = np.zeros((rows, 1280, 3), np.uint8)
-    pen, text = Pen.of(canvas.shape), "jgy\u00c4Q 10.7 m"
-    width, height = text_size(text, pen)
-    write(canvas, text, (20, 30), WHITE, pen)
-    at_rows, at_columns = np.nonzero(canvas.any(axis=-1))
+    canvas, text = Canvas(np.zeros((rows, 1280, 3), np.uint8)), "jgy\u00c4Q 10.7 m"
+    width, height = canvas.text_size(text)
+    canvas.write(text, (20, 30), WHITE)
+    at_rows, at_columns = np.nonzero(canvas.pixels.any(axis=-1))
     assert 30 <= at_rows.min() < at_rows.max() < 30 + height
     assert 20 < at_columns.min() < at_columns.max() < 20 + width
-    write_on_plate(canvas, text, (20, 30), WHITE, pen)
-    dark = (canvas == 25).all(axis=-1)
+    canvas.write_on_plate(text, (20, 30), WHITE)
+    dark = (canvas.pixels == 25).all(axis=-1)
     assert dark[30, 20]
     assert dark[30 + height - 1, 20 + width - 1]
     assert not dark[30 + height].any()
@@ -40,9 +39,9 @@ def test_a_text_stays_within_its_text_size(rows):
 
 
 def test_a_box_is_drawn_on_its_outermost_pixels():
-    canvas = np.zeros((960, 1280, 3), np.uint8)
-    box_outline(canvas, box("", 100, 200, 300, 400).box_px, WHITE, 1, Pen.of(canvas.shape))
-    white = (canvas == 255).all(axis=-1)
+    canvas = Canvas(np.zeros((960, 1280, 3), np.uint8))
+    canvas.box_outline(box("", 100, 200, 300, 400).box_px, WHITE, 1)
+    white = (canvas.pixels == 255).all(axis=-1)
     assert white[200, 100:301].all()
     assert white[200:401, 300].all()
     assert white.sum() == 4 * 200

@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream.model import Absent, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
-from roadperc_stream.output.drawing.canvas import Pen
+from roadperc_stream.output.drawing.canvas import Canvas
 from roadperc_stream.output.drawing.colours import bgr
 from roadperc_stream.output.drawing.overlay import LEGEND, draw_strip, frame_phrases, lines_of
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -87,14 +87,15 @@ def test_the_legend_has_every_colour_of_an_overlay():
 
 @pytest.mark.parametrize(("rows", "columns"), [(270, 360), (960, 1280)])
 def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
-    canvas = np.full((rows, columns, 3), 200, np.uint8)
-    strip = lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.35), *LEGEND), Pen.of(canvas.shape))
+    canvas = Canvas(np.full((rows, columns, 3), 200, np.uint8))
+    strip = lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.35), *LEGEND), canvas)
     draw_strip(canvas, strip)
-    touched = (canvas != 200).any(axis=(1, 2))
+    pixels = canvas.pixels
+    touched = (pixels != 200).any(axis=(1, 2))
     covered = int(touched.sum())
     assert touched[:covered].all()
-    assert covered == len(strip) * Pen.of(canvas.shape).row_px
+    assert covered == len(strip) * canvas.row_px
     assert 20 < covered < rows / 4
-    shade = canvas[0, 0]
+    shade = pixels[0, 0]
     assert (shade < 100).all()
-    np.testing.assert_array_equal(canvas[:covered, -1], np.broadcast_to(shade, (covered, 3)))
+    np.testing.assert_array_equal(pixels[:covered, -1], np.broadcast_to(shade, (covered, 3)))
