@@ -81,9 +81,11 @@ def check(names: Sequence[str], path: Path, files: ResultFiles) -> None:
     with ExitStack() as stack:
         runs, failed_logs = _found(names, stack)
         found = Check(path, runs, tuple(judge(read_criteria(path), runs, path)), failed_logs)
-    _write(found, files)
+    first, *lines = _lines(found)
+    title, cases = f"Check: {found.verdict}", list(_cases(found))
+    Results("check", title, lines, [_table(found)], values=_as_json(found), cases=cases).write(files)
     with optional_output():
-        print_lines(console_for(sys.stdout), *_lines(found), unbroken=True)
+        print_lines(console_for(sys.stdout), first, *lines, unbroken=True)
     if found.verdict == "failed":
         raise RegressionError(f"failed: {listed(_titles(found, 'failed'))}")
     if found.verdict == "error":
@@ -140,22 +142,14 @@ def _failure(title: str, results: Sequence[Result]) -> Iterator[str]:
         yield f"         worst frame: {first.worst.command}"
 
 
-def _write(found: Check, files: ResultFiles) -> None:
-    cases = [Case(result.log, _case(result), result.outcome, _body(result)) for result in found.results]
-    cases += [Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs]
-    _, *lines = _lines(found)
-    title = f"Check: {found.verdict}"
-    Results("check", title, lines, [_table(found)], values=_as_json(found), cases=cases).write(files)
-
-
-def _case(result: Result) -> str:
-    """A unique name: GitLab counts only the first case of each name."""
-    return f"{result.criterion.title}, {result.log}" if result.criterion.per_log else result.criterion.title
-
-
-def _body(result: Result) -> str:
-    place = result.worst
-    return result.text if place is None else f"{result.text}\nworst frame {place.frame} of {place.log}: {place.command}"
+def _cases(found: Check) -> Iterator[Case]:
+    """A case for each result; GitLab counts only the first case of each name, so names are unique."""
+    for result in found.results:
+        title, place = result.criterion.title, result.worst
+        name = f"{title}, {result.log}" if result.criterion.per_log else title
+        worst = f"\nworst frame {place.frame} of {place.log}: {place.command}" if place else ""
+        yield Case(result.log, name, result.outcome, result.text + worst)
+    yield from (Case(path, f"replay of {path}", "error", reason) for path, reason in found.failed_logs)
 
 
 def _as_json(found: Check) -> dict[str, Any]:

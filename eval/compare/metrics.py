@@ -13,8 +13,8 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 
 from ..report_columns import JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
-from ..runs import Run, collect, reading
-from ..scan import scan
+from ..runs import Run, collect
+from ..scan import objects_of, scan
 from .fields import Overlap
 from .pairing import KEY, NEW, STAMP, RunPair, numbered
 
@@ -25,7 +25,6 @@ _SHORTEST_MS: Final = 0.1
 """Shorter times count as this time."""
 _FRAME: Final = "frame"
 _DISTANCE: Final = "object_distance_error_m"
-_OBJECT_COLUMNS: Final = frozenset({_FRAME, "label", "kept", "distance_m", "true_distance_m"})
 _JITTER: Final = "second_difference", "jitter"
 """Part of a derived column's name, and of its metric's."""
 _LABELS: Final = {quantity.column.replace(*_JITTER): quantity.name for quantity in NUMBERS}
@@ -195,15 +194,8 @@ def _class_errors(run: Run) -> pl.DataFrame | None:
     for table in run.tables:
         if (path := table.objects) is None:
             continue
-        rows = pl.scan_parquet(path, glob=False)
-        with reading(str(path)):
-            present = rows.collect_schema().names()
-        if not _OBJECT_COLUMNS.issubset(present):
-            continue
-        if table.end_frame is not None:
-            rows = rows.filter(pl.col(_FRAME) < table.end_frame)
         error = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
-        known = rows.filter(pl.col("kept"), error.is_finite())
+        known = objects_of(run.name, table, path).filter(pl.col("kept"), error.is_finite())
         parts.append(collect(known.group_by(pl.col(_FRAME).cast(pl.Int64), "label").agg(error.mean()), str(path)))
     whole = pl.concat(parts) if parts else None
     return whole.pivot("label", index=_FRAME, values="distance_m") if whole is not None and whole.height else None

@@ -102,17 +102,9 @@ class ErrorStatistics:
     @classmethod
     def of(cls, errors: Float) -> "ErrorStatistics":
         """The statistics of (N,) errors, at least one."""
-        sse = float(np.sum(errors**2))
-        return cls(
-            count=len(errors),
-            rmse=float(np.sqrt(sse / len(errors))),
-            mean=float(errors.mean()),
-            median=float(np.median(errors)),
-            std=float(errors.std()),
-            least=float(errors.min()),
-            most=float(errors.max()),
-            sse=sse,
-        )
+        sse = np.sum(errors**2)
+        spread = errors.mean(), np.median(errors), errors.std(), errors.min(), errors.max()
+        return cls(len(errors), *map(float, (np.sqrt(sse / len(errors)), *spread, sse)))
 
 
 def absolute_errors_m(estimated: Float, true: Float) -> Float:
