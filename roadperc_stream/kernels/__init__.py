@@ -14,10 +14,10 @@ try:
     from roadperc_stream.kernels.png_compiled import reverse_filters, reverse_to_grey
 
     if not TYPE_CHECKING:  # the plain functions have the annotations
-        from roadperc_stream.kernels.lanes_compiled import follow, rows_beside
-        from roadperc_stream.kernels.objects_compiled import divided, object_points, region_distances
-        from roadperc_stream.kernels.occupancy_compiled import count_points, mark_visible
-        from roadperc_stream.kernels.odometry_compiled import align_patches, linearise
+        from roadperc_stream.kernels.lanes_compiled import follow
+        from roadperc_stream.kernels.objects_compiled import divided
+        from roadperc_stream.kernels.occupancy_compiled import count_points
+        from roadperc_stream.kernels.odometry_compiled import align_patches
         from roadperc_stream.kernels.stereo_compiled import (
             disparity_errors,
             doubled,
@@ -25,9 +25,7 @@ try:
             seen_by_both,
         )
         from roadperc_stream.kernels.surface_compiled import (
-            mark,
             mark_near,
-            marked,
             median_places,
             moments_near,
             normal_equations,
@@ -35,15 +33,13 @@ try:
         )
     COMPILED = True
 except ImportError:
-    from roadperc_stream.kernels.lanes_plain import follow, rows_beside
-    from roadperc_stream.kernels.objects_plain import divided, object_points, region_distances
-    from roadperc_stream.kernels.occupancy_plain import count_points, mark_visible
-    from roadperc_stream.kernels.odometry_plain import align_patches, linearise
+    from roadperc_stream.kernels.lanes_plain import follow
+    from roadperc_stream.kernels.objects_plain import divided
+    from roadperc_stream.kernels.occupancy_plain import count_points
+    from roadperc_stream.kernels.odometry_plain import align_patches
     from roadperc_stream.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
     from roadperc_stream.kernels.surface_plain import (
-        mark,
         mark_near,
-        marked,
         median_places,
         moments_near,
         normal_equations,

@@ -189,28 +189,6 @@ cdef class _Arrays:
             )
 
 
-cdef Py_ssize_t _rows_beside(
-    const Points* points, const Fit* fit, double inward, double reach, double line,
-) noexcept nogil:
-    cdef Py_ssize_t i, last = -1, found = 0
-    cdef double aside
-    for i in range(points.count):
-        if not points.x[i] <= reach or (last >= 0 and points.rows[i] == points.rows[last]):
-            continue
-        aside = inward * _beside(points, fit, i) - line
-        if aside < points.inside[i] and aside > -points.outside[i]:
-            last = i
-            found += 1
-    return found
-
-
-def rows_beside(points, state, double inward, double reach, asides):
-    cdef _Arrays arrays = _Arrays(points)
-    cdef Fit fit
-    fit.s0, fit.s1, fit.s2 = state
-    return tuple([_rows_beside(&arrays.points, &fit, inward, reach, line) for line in asides])
-
-
 def follow(points, first, following, weighing):
     cdef _Arrays arrays = _Arrays(points)
     cdef Py_ssize_t count = arrays.points.count

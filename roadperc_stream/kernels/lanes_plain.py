@@ -94,16 +94,6 @@ def follow(points: Points, first: State, following: Following, weighing: Weighin
         state, reach = fit.state, min(reach + following.step, following.farthest)
 
 
-def rows_beside(
-    points: Points, state: State, inward: float, reach: float, asides: tuple[float, ...]
-) -> tuple[int, ...]:
-    """Number of rows with a point up to x = ``reach`` near each line ``asides`` metres inwards of a quadratic."""
-    aside = inward * (points.y - _at(state, points.x))
-    ahead = points.x <= reach
-    beside = (ahead & (aside - line < points.inside) & (aside - line > -points.outside) for line in asides)
-    return tuple(int(np.count_nonzero(np.bincount(points.rows[chosen]))) for chosen in beside)
-
-
 def _chosen(points: Points, state: State, following: Following, reach: float) -> Points:
     """The points near a quadratic."""
     aside = following.inward * (points.y - _at(state, points.x))

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Regions divided at depth jumps, their distances, and the points of an object; see ``objects_plain``."""
+"""Regions divided at depth jumps; ``objects_plain`` documents the function."""
 
-from libc.math cimport INFINITY, fabsf, sqrt
+from libc.math cimport fabsf
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 import numpy as np
@@ -124,88 +124,3 @@ def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const
             for k in range(count):
                 before[k] = members[k]
     return all_labels, all_names, all_ways[:regions], all_bounds[:, :regions], all_pixels[:regions]
-
-
-cdef void _sum_rows(
-    const int32_t[:, :] labels, const uint8_t[::1] chosen, const float[:, :] distances_m,
-    double* row_m, double[:, ::1] sums, float[:, ::1] counts,
-) noexcept nogil:
-    """Sum the finite distances of each pixel and its two neighbours of the row; row y goes to row y + 1."""
-    cdef Py_ssize_t width = labels.shape[1], y, x
-    cdef bint finite
-    for y in range(labels.shape[0]):
-        for x in range(width):
-            finite = chosen[labels[y, x]] and distances_m[y, x] < INFINITY
-            row_m[x + 1] = distances_m[y, x] if finite else 0
-            if finite:
-                counts[y + 1, x] += 1
-                counts[y + 1, x + 1] += 1
-                counts[y + 1, x + 2] += 1
-        for x in range(width):
-            sums[y + 1, x] = row_m[x] + row_m[x + 1] + row_m[x + 2]
-
-
-def region_distances(const int32_t[:, :] labels, of_region, const float[:, :] distances_m, const float[:, :] noise):
-    cdef const uint8_t[::1] chosen = of_region.view(np.uint8)
-    cdef Py_ssize_t height = labels.shape[0], width = labels.shape[1], y, x, known = 0, finite = 0
-    if not (distances_m.shape[0] == noise.shape[0] == height and distances_m.shape[1] == noise.shape[1] == width):
-        raise ValueError(f"{height}x{width} pixels, {distances_m.shape[0]}x{distances_m.shape[1]} distances and "
-                         f"{noise.shape[0]}x{noise.shape[1]} noise")
-    all_near, all_noise = np.empty(height * width, np.float32), np.empty(height * width, np.float32)
-    cdef float[::1] near = all_near, noise_of_finite = all_noise
-    cdef float distance_m
-    cdef double[::1] row_m = np.zeros(width + 2)
-    cdef double[:, ::1] sums = np.zeros((height + 2, width))
-    cdef float[:, ::1] counts = np.zeros((height + 2, width + 2), np.float32)
-    with nogil:
-        _sum_rows(labels, chosen, distances_m, &row_m[0], sums, counts)
-        for y in range(height):
-            for x in range(width):
-                distance_m = distances_m[y, x]
-                if not chosen[labels[y, x]] or distance_m != distance_m:
-                    continue
-                if distance_m < INFINITY:
-                    distance_m = <float>(sums[y, x] + sums[y + 1, x] + sums[y + 2, x])
-                    distance_m /= counts[y, x + 1] + counts[y + 1, x + 1] + counts[y + 2, x + 1]
-                    noise_of_finite[finite] = noise[y, x]
-                    finite += 1
-                near[known] = distance_m
-                known += 1
-    return all_near[:known], all_noise[:finite]
-
-
-def object_points(const float[:, :] depth_m, camera, box, of_class, double distance_m, behind_m):
-    cdef double fx = camera[0], fy = camera[1], cx = camera[2], cy = camera[3]
-    cdef Py_ssize_t x0 = box[0], y0 = box[1], x1 = box[2], y1 = box[3], step = box[4], row, column, count = 0, most
-    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1]
-    cdef double least_m = behind_m[0], most_m = behind_m[1], x, y, z, beyond_m
-    cdef const uint8_t[:, :] tags = None
-    cdef const uint8_t[::1] wanted = None
-    cdef bint any_class = of_class is None
-    if not any_class:
-        tags, wanted = of_class
-    if (
-        not (0 <= x0 and x1 <= width and 0 <= y0 and y1 <= height and step > 0)
-        or not (any_class or (tags.shape[0], tags.shape[1], wanted.shape[0]) == (height, width, 256))
-    ):
-        raise ValueError(f"{height}x{width} depths: the box {x0, y0, x1, y1} with step {step} or the tags do not fit")
-    most = max((x1 - x0 + step - 1) // step, 0) * max((y1 - y0 + step - 1) // step, 0)
-    all_points, all_ranges = np.empty((most, 3)), np.empty(most)
-    cdef double[:, ::1] points = all_points
-    cdef double[::1] ranges = all_ranges
-    with nogil:
-        for row from y0 <= row < y1 by step:
-            y = (row - cy) / fy
-            for column from x0 <= column < x1 by step:
-                if not any_class and not wanted[tags[row, column]]:
-                    continue
-                z = depth_m[row, column]
-                x = (column - cx) / fx
-                beyond_m = z * sqrt(x * x + (y * y + 1.0)) - distance_m
-                if beyond_m > least_m and beyond_m < most_m:
-                    points[count, 0], points[count, 1], points[count, 2] = x * z, y * z, z
-                    ranges[count] = sqrt(
-                        points[count, 0] * points[count, 0] + points[count, 1] * points[count, 1] + z * z
-                    )
-                    count += 1
-    return all_points[:count], all_ranges[:count]

@@ -1,4 +1,4 @@
-"""The functions of ``objects_compiled`` in numpy and OpenCV; only the compiled ones check sizes (ValueError)."""
+"""The function of ``objects_compiled`` in numpy and OpenCV; only the compiled one checks sizes (ValueError)."""
 
 import cv2
 import numpy as np
@@ -9,8 +9,6 @@ Image = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 Labels = NDArray[np.int32]
 Divided = tuple[Labels, Indices, Indices, Indices, Indices]
-Float = NDArray[np.float64]
-Numbers = tuple[float, float, float, float]
 
 
 def divided(log_depth: Float32, of_class: Image, jumps: Float32) -> Divided:
@@ -77,65 +75,3 @@ def _together(groups: Indices, count: int, bounds: Indices, pixels: Indices) -> 
     for into, values in zip(joined[2:], bounds[2:], strict=True):
         np.maximum.at(into, groups, values)
     return joined, np.bincount(groups, pixels, count).astype(np.int64)
-
-
-def region_distances(
-    labels: NDArray[np.int32], of_region: NDArray[np.bool_], distances_m: Float32, noise: Float32
-) -> tuple[Float32, Float32]:
-    """The distances of a region's pixels, each the mean of the region's known distances in the 3x3 square around it.
-
-    ``labels`` are (h, w), ``of_region`` (n,) marks the region's labels. ``distances_m`` is (h, w), NaN unknown and
-    infinite beyond the depth's range; ``noise`` (h, w) belongs to them. Sums are in float64, first along rows.
-
-    Returns:
-        (N,) known distances, and the (M,) noise of the finite ones; row by row. Infinite distances stay infinite.
-    """
-    mask = of_region[labels]
-    finite = mask & (distances_m < np.inf)
-    sums = _sums(np.where(finite, distances_m, 0.0).astype(np.float64)).astype(np.float32)
-    means = sums / np.maximum(_sums(finite.astype(np.float64)), 1.0).astype(np.float32)
-    near = np.where(finite, means, distances_m)
-    return near[mask & ~np.isnan(distances_m)], noise[finite]
-
-
-def _sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(h, w) sums over the 3x3 square around each value."""
-    padded = np.pad(values, 1)
-    rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
-    return rows[:-2] + rows[1:-1] + rows[2:]
-
-
-def object_points(
-    depth_m: NDArray[np.float32],
-    camera: Numbers,
-    box: tuple[int, int, int, int, int],
-    of_class: tuple[Image, Image] | None,
-    distance_m: float,
-    behind_m: tuple[float, float],
-) -> tuple[Float, Float]:
-    """The points of a box's pixels near or behind an object's distance.
-
-    Args:
-        depth_m: (H, W) metres, NaN unknown.
-        camera: fx, fy, cx and cy in pixels.
-        box: first column and row, those behind the last, and the step between the used columns and rows.
-        of_class: (H, W) tags, and (256,) above 0 at the accepted ones; None accepts all.
-        distance_m: the object's distance.
-        behind_m: range of the points' distances beyond the object's, both ends excluded.
-
-    Returns:
-        (N, 3) points in the camera's frame, and (N,) their distances, row by row.
-    """
-    x0, y0, x1, y1, step = box
-    fx, fy, cx, cy = camera
-    cutout = slice(y0, max(y1, y0), step), slice(x0, max(x1, x0), step)
-    x, y = (np.arange(x0, x1, step) - cx) / fx, (np.arange(y0, y1, step) - cy) / fy
-    depths = depth_m[cutout].astype(np.float64)
-    behind = depths * np.sqrt(x**2 + (y**2 + 1.0)[:, None]) - distance_m
-    chosen = (behind > behind_m[0]) & (behind < behind_m[1])
-    if of_class:
-        chosen &= of_class[1][of_class[0][cutout]] > 0
-    rows, columns = np.nonzero(chosen)
-    z = depths[chosen]
-    points = np.stack((x[columns] * z, y[rows] * z, z), axis=-1)
-    return points, np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + z**2)

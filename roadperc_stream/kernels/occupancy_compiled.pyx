@@ -1,11 +1,11 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Points counted in the cells of a grid, and the visible cells; ``occupancy_plain`` documents the functions.
+"""Points counted in the cells of a grid; ``occupancy_plain`` documents the function.
 
 Blocks of a row first compute points, heights and cells in loops that become vector code, then count them.
 """
 
 from libc.float cimport FLT_MAX
-from libc.math cimport fabs, fabsf, rint
+from libc.math cimport fabsf
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 import numpy as np
@@ -127,62 +127,3 @@ def count_points(cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free
                     points.height[k] = height_m[v, first + k]
                 if _sort(&rules, &points, count):
                     _count(&points, &free[0, 0], &occupied[0, 0], count)
-
-
-cdef enum:
-    MOST_OF_NINE = 5  # of nine
-
-cdef double NEAREST_SEEN_M = 1e-6
-
-
-cdef inline bint _is_mostly(const uint8_t[:, :] drivable, Py_ssize_t v, Py_ssize_t u) noexcept nogil:
-    """Whether most of a pixel and its eight neighbours are drivable; the image's edge is repeated beyond it."""
-    cdef Py_ssize_t last_row = drivable.shape[0] - 1, last_column = drivable.shape[1] - 1, row, k
-    cdef Py_ssize_t left = u - 1 if u > 0 else 0, right = u + 1 if u < last_column else last_column
-    cdef int found = 0
-    for k in range(-1, 2):
-        row = v + k
-        row = 0 if row < 0 else last_row if row > last_row else row
-        found += drivable[row, left] + drivable[row, u] + drivable[row, right]
-    return found >= MOST_OF_NINE
-
-
-def mark_visible(
-    projection, const double[:, ::1] camera_T_ego, middles, const uint8_t[:, :] drivable, const float[:, :] depth_m,
-    within,
-):
-    cdef const double[::1] x_m = middles[0], y_m = middles[1]
-    cdef const double[:, ::1] z_m = middles[2]
-    cdef double fx, fy, cx, cy, x, y, z, right, down, ahead, column, row
-    cdef Py_ssize_t j, i, v, u, height = drivable.shape[0], width = drivable.shape[1]
-    cdef const double* T
-    cdef bint seen
-    shapes = np.shape(camera_T_ego), np.shape(z_m), (height, width) if depth_m is None else np.shape(depth_m)
-    if shapes != ((4, 4), (y_m.shape[0], x_m.shape[0]), (height, width)):
-        raise ValueError(f"{height}x{width} pixels and {y_m.shape[0]}x{x_m.shape[0]} cells do not fit a transform, "
-                         f"heights and depths of {shapes}")
-    cdef double tolerance = within[0], slack_m = within[1]
-    cdef uint8_t[:, ::1] visible = np.empty((z_m.shape[0], z_m.shape[1]), np.uint8)
-    fx, fy, cx, cy = projection
-    T = &camera_T_ego[0, 0]
-    with nogil:
-        for j in range(y_m.shape[0]):
-            y = y_m[j]
-            for i in range(x_m.shape[0]):
-                x = x_m[i]
-                z = z_m[j, i]
-                ahead = T[8] * x + T[9] * y + T[10] * z + T[11]
-                seen = False
-                if ahead > NEAREST_SEEN_M:
-                    right = T[0] * x + T[1] * y + T[2] * z + T[3]
-                    down = T[4] * x + T[5] * y + T[6] * z + T[7]
-                    column = rint(fx * right / ahead + cx)
-                    row = rint(fy * down / ahead + cy)
-                    if column >= 0 and column < width and row >= 0 and row < height:
-                        v = <Py_ssize_t>row
-                        u = <Py_ssize_t>column
-                        seen = _is_mostly(drivable, v, u)
-                        if seen and depth_m is not None:
-                            seen = fabs(<double>depth_m[v, u] - ahead) <= tolerance * ahead + slack_m
-                visible[j, i] = seen
-    return np.asarray(visible)

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Pixels of a class, pixels near a plane, medians of cells, and normal equations; ``surface_plain`` documents the functions.
+"""Pixels near a plane, medians of cells, and normal equations; ``surface_plain`` documents the functions.
 
 Medians use Hoare's quickselect (1961) on keys, unsigned numbers in the order of value and index.
 """
@@ -13,54 +13,6 @@ import numpy as np
 
 cdef enum:
     MOMENTS = 6
-    WORDS = 8  # of eight marks
-    BLOCK = 64  # marks that are counted together
-    TAGS = 256
-    AT_ONCE = 4  # tags compared in one pass
-    CACHED = 4096  # pixels that fit into the processor's first cache
-
-cdef uint64_t EACH_BYTE = 0x0101010101010101
-
-
-cdef void _mark_four(
-    const uint8_t* tags, Py_ssize_t count, const uint8_t* wanted, bint is_first, uint8_t* marked
-) noexcept nogil:
-    """Mark the pixels that have one of four tags; only the first call also clears the others."""
-    cdef uint8_t a = wanted[0], b = wanted[1], c = wanted[2], d = wanted[3]
-    cdef Py_ssize_t i
-    if is_first:
-        for i in range(count):
-            marked[i] = (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
-    else:
-        for i in range(count):
-            marked[i] |= (tags[i] == a) | (tags[i] == b) | (tags[i] == c) | (tags[i] == d)
-
-
-def mark(tags, const uint8_t[::1] of_class):
-    """Compare many pixels at a time: a class has few tags."""
-    cdef uint8_t wanted[TAGS + AT_ONCE]
-    cdef int count = 0, tag
-    cdef Py_ssize_t start = 0, size
-    if of_class.shape[0] != TAGS:
-        raise ValueError(f"of_class: expected 256 numbers, got {of_class.shape[0]}")
-    for tag in range(TAGS):
-        if of_class[tag]:
-            wanted[count] = tag
-            count += 1
-    if not count:
-        return np.zeros(tags.shape, np.uint8)
-    for tag in range(AT_ONCE):  # fill the last group of four by repeating a tag
-        wanted[count + tag] = wanted[count - 1]
-    found = np.empty(tags.shape, np.uint8)
-    cdef const uint8_t[::1] pixels = np.ascontiguousarray(tags).reshape(-1)
-    cdef uint8_t[::1] marked = found.reshape(-1)
-    with nogil:
-        while start < pixels.shape[0]:
-            size = min(pixels.shape[0] - start, CACHED)
-            for tag in range((count + AT_ONCE - 1) // AT_ONCE):
-                _mark_four(&pixels[start], size, wanted + AT_ONCE * tag, tag == 0, &marked[start])
-            start += size
-    return found
 
 
 cdef void _mark_row(
@@ -148,51 +100,6 @@ def moments_near(
                 _sum_row(z, &ray_x[0], &sums[v, 0], width)
     free(z)
     return np.asarray(sums)
-
-
-cdef int64_t _sum_of_block(const uint8_t* marks) noexcept nogil:
-    """The number of marks in a block; the words are added, as their bytes cannot overflow."""
-    cdef uint64_t words[WORDS]
-    cdef uint64_t total = 0
-    cdef int k
-    memcpy(words, marks, BLOCK)
-    for k in range(WORDS):
-        total += words[k]
-    return <int64_t>((total * EACH_BYTE) >> 56)
-
-
-def marked(const uint8_t[:, ::1] marks, const int64_t[::1] ranks):
-    cdef Py_ssize_t size = marks.shape[0] * marks.shape[1], blocks = size // BLOCK, n, low, high, middle, at
-    cdef const uint8_t* first = &marks[0, 0] if size else NULL
-    cdef int64_t left, total
-    cdef int64_t[::1] before = np.empty(blocks + 1, np.int64), places = np.empty(ranks.shape[0], np.int64)
-    before[0] = 0
-    with nogil:
-        for n in range(blocks):
-            before[n + 1] = before[n] + _sum_of_block(first + n * BLOCK)
-        total = before[blocks]
-        for at in range(blocks * BLOCK, size):
-            total += first[at]
-    for n in range(ranks.shape[0]):
-        if not 0 <= ranks[n] < total:
-            raise IndexError(f"mark {ranks[n]} of {total}")
-    with nogil:
-        for n in range(ranks.shape[0]):
-            low = 0
-            high = blocks + 1
-            while high - low > 1:
-                middle = (low + high) // 2
-                if before[middle] <= ranks[n]:
-                    low = middle
-                else:
-                    high = middle
-            left = ranks[n] - before[low] + 1
-            at = low * BLOCK - 1
-            while left > 0 and at + 1 < size:  # stays within the image even if marks are not 0 or 1
-                at += 1
-                left -= first[at]
-            places[n] = at
-    return np.asarray(places)
 
 
 cdef _require_fitting(

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,11 +20,6 @@ class PlaneDistances(NamedTuple):
     column: Float32
     row: Float32
     offset_m: float
-
-
-def mark(tags: Marks, of_class: Marks) -> Marks:
-    """(H, W) 1 at pixels of a class, else 0; ``of_class`` is (256,) 1 at the tags of the class, else 0."""
-    return np.asarray(cv2.LUT(np.ascontiguousarray(tags), of_class), np.uint8)
 
 
 def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, near: Marks) -> None:
@@ -50,12 +44,7 @@ def moments_near(
     x, z = (ray_x[columns] * z).astype(float), z.astype(float)
     # np.sum adds in another order.
     sums = [np.bincount(rows, terms, len(depth_m)) for terms in (np.ones(len(z)), z, x, z * z, x * z, x * x)]
-    return np.stack(sums, axis=-1)
-
-
-def marked(marks: NDArray[np.uint8], ranks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(N,) flat indices of the marks (H, W), 0 or 1, with (N,) ranks; rank 0 is the first mark row by row."""
-    return np.flatnonzero(marks)[ranks]
+    return np.stack(sums, axis=-1).astype(float, copy=False)
 
 
 def _near(depth_m: Float32, distances: PlaneDistances, within_m: float) -> NDArray[np.bool_]:

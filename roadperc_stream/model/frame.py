@@ -10,7 +10,6 @@ from roadperc_stream.geometry import Camera, Float, Float32, inverse
 from roadperc_stream.geometry.arrays import Ids, Image, read_only
 from roadperc_stream.geometry.planes import SurfaceSource
 from roadperc_stream.geometry.registration import sample_labels, warp_depth
-from roadperc_stream.kernels import mark
 from roadperc_stream.model.inputs import CameraImage, DepthImage, Detection, InstanceImage, PointCloud, TagImage
 from roadperc_stream.model.reason import Reason
 from roadperc_stream.model.results import Absent, StereoDepth
@@ -131,7 +130,7 @@ class Frame:
         if self.table is None or self.tags is None:
             return None
         if classes not in self._labels:
-            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
+            self._labels[classes] = self.table.mark(self.tags, classes)
             self._labels[classes].setflags(write=False)
         return self._labels[classes]
 

@@ -6,27 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.kernels import stereo_plain as plain
 from roadperc_stream.kernels.stereo_plain import DisparityLimits
-
-compiled = pytest.importorskip("roadperc_stream.kernels.stereo_compiled")
-BOTH = pytest.mark.parametrize("kernel", [plain, compiled], ids=["plain", "compiled"])
-SEEDS, SHAPES = st.integers(0, 2**32 - 1), st.tuples(st.integers(0, 14), st.integers(0, 14))
-LARGE = float(np.finfo(np.float32).max)
-
-
-def numbers(rng, shape, largest):
-    """Float32 numbers: quarters, any, unknown, infinite, negative and extreme ones."""
-    found = rng.uniform(0, largest, shape)
-    found = np.where(rng.random(shape) < 0.5, np.rint(4 * found) / 4, found)
-    special = rng.choice((np.nan, np.inf, -np.inf, 0.0, -0.0, -1.5, 1e-45, LARGE, -LARGE), shape)
-    return np.where(rng.random(shape) < rng.choice((0.0, 0.2)), special, found).astype(np.float32)
-
-
-def assert_same_bits(function, *asked):
-    found, expected = (getattr(kernel, function)(*asked) for kernel in (compiled, plain))
-    for one, other in zip(found, expected, strict=True) if isinstance(found, tuple) else ((found, expected),):
-        np.testing.assert_array_equal(one, other, strict=True)
+from tests.kernels.forms import SEEDS, SHAPES, assert_same_bits, both, forms, wild
 
 
 def ramp(offset):
@@ -34,7 +15,7 @@ def ramp(offset):
     return np.tile((8 * np.arange(24) + offset).astype(np.uint8), (12, 1))
 
 
-@BOTH
+@both("stereo")
 def test_with_one_slope_everywhere_a_difference_is_brightness(kernel):
     sixteenths = np.full((12, 24), 32, np.int16)
     sixteenths[3, 12] = -16
@@ -43,7 +24,7 @@ def test_with_one_slope_everywhere_a_difference_is_brightness(kernel):
     np.testing.assert_array_equal(found[8, 8:16], 2.0)
 
 
-@BOTH
+@both("stereo")
 def test_refinement_moves_a_texture_to_its_place(kernel):
     rng = np.random.default_rng(0)
     smooth = np.convolve(rng.uniform(0, 255, 80), np.hanning(9) / np.hanning(9).sum(), "same")
@@ -54,21 +35,7 @@ def test_refinement_moves_a_texture_to_its_place(kernel):
     assert np.median(np.abs(found[:, 8:52] - 3.3)) < 0.03
 
 
-@given(SEEDS, SHAPES, st.sampled_from([1, 3, 5, 7, 11]))
-def test_refined_disparities_have_the_same_bits(seed, shape, size):
-    rng = np.random.default_rng(seed)
-    left, right = rng.integers(0, 256, (2, *shape), np.uint8)
-    assert_same_bits("refined_disparities", rng.integers(-16, 400, shape, np.int16), left, right, size)
-
-
-@pytest.mark.parametrize("size", [7, 99])
-def test_refined_disparities_have_the_same_bits_at_the_largest_differences(size):
-    rng = np.random.default_rng(size)
-    left, right = (255 * rng.integers(0, 2, (120, 160)).astype(np.uint8) for _ in range(2))
-    assert_same_bits("refined_disparities", rng.integers(-16, 300, (120, 200), np.int16)[:, 40:], left, right, size)
-
-
-@BOTH
+@both("stereo")
 def test_doubled_disparities_within_one_object_and_between_two(kernel):
     half = np.array([[1.0, 1.25, 4.0, np.nan]], np.float32)
     row = [2.0, 2.125, 2.375, 2.5, 8.0, 8.0, np.nan, np.nan]
@@ -76,51 +43,57 @@ def test_doubled_disparities_within_one_object_and_between_two(kernel):
     np.testing.assert_array_equal(kernel.doubled(half.T, 1.0), np.transpose([row, row]))
 
 
-@BOTH
+@both("stereo")
 def test_doubling_interpolates_as_opencv(kernel):
     half = np.random.default_rng(0).uniform(10, 20, (31, 47)).astype(np.float32)
     expected = cv2.resize(2 * half, (94, 62), interpolation=cv2.INTER_LINEAR)
     np.testing.assert_allclose(kernel.doubled(half, 100.0), expected, rtol=3e-7)
 
 
-@given(SEEDS, SHAPES, st.sampled_from([0.5, 1.0, 1e9]), st.floats(0.0, 2.0))
-def test_doubled_and_seen_disparities_have_the_same_bits(seed, shape, step_px, occlusion_px):
-    rng = np.random.default_rng(seed)
-    assert_same_bits("doubled", numbers(rng, shape, 96.0), step_px)
-    assert_same_bits("seen_by_both", numbers(rng, shape, 12.0), occlusion_px)
-
-
-@BOTH
+@both("stereo")
 def test_errors_of_a_row_by_hand(kernel):
     """f b = 50: 5 px at 10 m; 4, 2 and 10 px estimated, two unknown; a far and a hidden pixel do not count."""
     estimated_m = np.array([[12.5, 25.0, 5.0, np.nan, 0.0, 10.0, 10.0]], np.float32)
     true_m = np.array([[10.0, 10.0, 10.0, 10.0, 10.0, 60.0, 10.0]], np.float32)
-    seen = np.array([[True] * 6 + [False]])
-    limits = DisparityLimits(50.0, 60.0, 1.0, 0.5)
+    limits, seen = DisparityLimits(50.0, 60.0, 1.0, 0.5), np.array([[True] * 6 + [False]])
     error_px, relative, counted, bad = kernel.disparity_errors(estimated_m, true_m, seen, limits)
     np.testing.assert_array_equal(error_px, np.float32([1, 3, 5]))
     np.testing.assert_array_equal(relative, np.float32([0.25, 1.5, 0.5]))
     assert (counted, bad) == (5, 2)
 
 
-@given(SEEDS, SHAPES, st.floats(0.0, 80.0, width=32), st.floats(0.0, 3.0, width=32), st.floats(0, 1, width=32))
-def test_errors_have_the_same_bits(seed, shape, max_depth_m, bad_px, bad_share):
+@given(SEEDS, SHAPES, st.sampled_from([1, 3, 5, 7, 11]))
+def test_refined_disparities_have_the_same_bits(seed, shape, size):
     rng = np.random.default_rng(seed)
-    estimated_m, true_m = (numbers(rng, shape, 90.0) for _ in range(2))
+    left, right = rng.integers(0, 256, (2, *shape), np.uint8)
+    assert_same_bits("stereo", "refined_disparities", rng.integers(-16, 400, shape, np.int16), left, right, size)
+
+
+@pytest.mark.parametrize("size", [7, 99])
+def test_refined_disparities_have_the_same_bits_at_the_largest_differences(size):
+    rng = np.random.default_rng(size)
+    left, right = (255 * rng.integers(0, 2, (120, 160)).astype(np.uint8) for _ in range(2))
+    sixteenths = rng.integers(-16, 300, (120, 200), np.int16)[:, 40:]
+    assert_same_bits("stereo", "refined_disparities", sixteenths, left, right, size)
+
+
+@given(SEEDS, SHAPES, st.floats(0.0, 80.0, width=32), st.floats(0.0, 3.0, width=32), st.floats(0, 1, width=32))
+def test_doubled_seen_and_wrong_disparities_have_the_same_bits(seed, shape, max_depth_m, bad_px, bad_share):
+    rng = np.random.default_rng(seed)
+    height, width = shape
+    views = [wild(rng, (height, 2 * width), largest)[:, ::2] for largest in (96.0, 12.0, 90.0, 90.0)]
+    assert_same_bits("stereo", "doubled", views[0], rng.choice((0.5, 1.0, 1e9)))
+    assert_same_bits("stereo", "seen_by_both", views[1], bad_px)
     limits = DisparityLimits(50.0, max_depth_m, bad_px, bad_share)
-    assert_same_bits("disparity_errors", estimated_m, true_m, rng.random(shape) < 0.7, limits)
+    assert_same_bits("stereo", "disparity_errors", *views[2:], rng.random(shape) < 0.7, limits)
 
 
-def test_views_are_accepted_and_other_sizes_are_refused():
-    depth_m = np.random.default_rng(0).uniform(1, 30, (8, 40)).astype(np.float32)[:, ::2]
-    limits, image, disparities = DisparityLimits(50.0, 60.0, 3.0, 0.05), ramp(0), np.zeros((12, 24), np.int16)
-    assert_same_bits("doubled", depth_m, 1.0)
-    assert_same_bits("seen_by_both", depth_m, 1.0)
-    assert_same_bits("disparity_errors", depth_m, depth_m, depth_m > 0, limits)
+def test_other_sizes_are_refused():
+    kernel, image, disparities, depth_m = forms("stereo")[1], ramp(0), np.zeros((12, 24), np.int16), np.ones((8, 20))
     with pytest.raises(ValueError, match="expected one size"):
-        compiled.disparity_errors(depth_m, depth_m[1:], depth_m > 0, limits)
+        kernel.disparity_errors(depth_m, depth_m[1:], depth_m > 0, DisparityLimits(50.0, 60.0, 3.0, 0.05))
     for pair in ((image[1:], image), (image, image[:, 1:])):
         with pytest.raises(ValueError, match="expected one size"):
-            compiled.refined_disparities(disparities, *pair, 3)
+            kernel.refined_disparities(disparities, *pair, 3)
     with pytest.raises(ValueError, match="expected an odd number"):
-        compiled.refined_disparities(disparities, image, image, 4)
+        kernel.refined_disparities(disparities, image, image, 4)

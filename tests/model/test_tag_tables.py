@@ -173,3 +173,9 @@ def test_a_tag_beyond_the_table_is_unlabeled():
     last = len(table.names) - 1
     found = [table.name_of(tag) for tag in (0, last, last + 1, 255)]
     assert found == ["unlabeled", table.names[last], "unlabeled", "unlabeled"]
+
+
+def test_pixels_of_classes():
+    tags = np.arange(24, dtype=np.uint8).reshape(4, 6)[:, ::2]
+    table, classes = s.CARLA_BEFORE_0_9_14, ("road", "road_line")
+    np.testing.assert_array_equal(table.mark(tags, classes), np.isin(tags, table.tags_of(classes)))

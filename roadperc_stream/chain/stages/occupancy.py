@@ -11,15 +11,15 @@ only heights decide what is an obstacle: a point that the camera does not see ca
 
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.config import OccupancyConfig, scaled
 from roadperc_stream.geometry import Float32, inverse
 from roadperc_stream.geometry.ground import ego_points, ego_rays, height_above, height_at, part
-from roadperc_stream.kernels import count_points, mark_visible
-from roadperc_stream.kernels.occupancy_plain import Cells, KnownPixels, Middles
-from roadperc_stream.kernels.odometry_plain import Projection
+from roadperc_stream.kernels import count_points
+from roadperc_stream.kernels.occupancy_plain import Cells, KnownPixels
 from roadperc_stream.model import Absent, Image, Mask, Occupancy, Reason, Surface
 from roadperc_stream.model.frame import Frame
 
@@ -31,6 +31,7 @@ OCCUPIED: Final = 100
 
 _ROWS_AT_ONCE: Final = 64
 """Rows per pass: their points stay in the processor's cache between operations."""
+_NEAREST_M: Final = 1e-6
 
 
 def build(cfg: OccupancyConfig, frame: Frame, surface: Surface | Absent, drivable: Mask | Absent) -> Occupancy | Absent:
@@ -100,17 +101,23 @@ def _obstacles(cfg: OccupancyConfig, frame: Frame, step: int) -> tuple[Image, Im
 
 
 def _visible_drivable(cfg: OccupancyConfig, frame: Frame, surface: Surface, drivable: Mask) -> Mask:
-    """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense."""
-    camera = frame.camera
+    """(rows, columns) cells whose middle is visible as drivable road, at its own distance where the depth is dense.
+
+    A pixel counts if most pixels of its 3x3 square are drivable; single pixels do not matter.
+    """
+    camera, depth_m = frame.camera, frame.dense_depth_m
     rows, columns = _shape(cfg)
     x = cfg.x_min_m + cfg.resolution_m * (np.arange(columns, dtype=float) + 0.5)
-    y = cfg.resolution_m * (np.arange(rows, dtype=float) + 0.5) - cfg.half_width_m
-    visible = mark_visible(
-        Projection(camera.fx, camera.fy, camera.cx, camera.cy),
-        inverse(frame.ego_T_camera),
-        Middles(x, y, height_at(surface, x, y[:, None])),
-        drivable.view(np.uint8),
-        frame.dense_depth_m,
-        (cfg.depth_tolerance, cfg.resolution_m),
-    )
-    return visible.view(bool)
+    y = (cfg.resolution_m * (np.arange(rows, dtype=float) + 0.5) - cfg.half_width_m)[:, None]
+    z = height_at(surface, x, y)
+    right, down, ahead = (T[0] * x + T[1] * y + T[2] * z + T[3] for T in inverse(frame.ego_T_camera)[:3])
+    with np.errstate(all="ignore"):  # cells behind the camera do not count
+        u, v = np.rint(camera.fx * right / ahead + camera.cx), np.rint(camera.fy * down / ahead + camera.cy)
+        inside = (ahead > _NEAREST_M) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    v, u, ahead = v[inside].astype(np.intp), u[inside].astype(np.intp), ahead[inside]
+    seen = cv2.medianBlur(drivable.view(np.uint8), 3)[v, u] > 0
+    if depth_m is not None:  # a comparison with NaN is False
+        seen &= np.abs(depth_m[v, u] - ahead) <= cfg.depth_tolerance * ahead + cfg.resolution_m
+    visible = np.zeros((rows, columns), bool)
+    visible[inside] = seen
+    return visible

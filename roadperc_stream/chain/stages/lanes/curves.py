@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Float
-from roadperc_stream.kernels import follow, rows_beside
+from roadperc_stream.kernels import follow
 from roadperc_stream.kernels.lanes_plain import Following, Points, Quadratic, Weighing
 from roadperc_stream.model import Mask, Side
 
@@ -252,9 +252,10 @@ def _contrast(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
 
 def _rows_near(curve: Curve, edges: Edges, within_m: Float, side: Side, asides_m: tuple[float, ...]) -> tuple[int, ...]:
     """Number of rows with an edge near each line at these distances inside the curve, within its reach."""
-    points = Points(edges.x, edges.y, within_m, edges.rows, within_m, within_m)
-    offset, heading, curvature = curve.state.tolist()
-    return rows_beside(points, (offset, heading, curvature), -outward(side), curve.reach_m, asides_m)
+    within_reach = edges.x <= curve.reach_m
+    aside_m = -outward(side) * (edges.y - lateral(curve.state, edges.x))
+    near = (edges.rows[within_reach & (np.abs(aside_m - line_m) < within_m)] for line_m in asides_m)
+    return tuple(int(np.count_nonzero(np.bincount(rows))) for rows in near)
 
 
 def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -> float:

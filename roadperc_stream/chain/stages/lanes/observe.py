@@ -11,7 +11,6 @@ from roadperc_stream.chain.stages.lanes.lines import LineGroup
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.geometry.ground import ground_points, height_at
-from roadperc_stream.kernels import mark
 from roadperc_stream.model import SIDES, Image, Mask, Side, Surface
 from roadperc_stream.model.tag_tables import TagTable
 
@@ -156,7 +155,7 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy), float(projection.camera.height))
     bottom = lines.road_near_end(drivable)
-    separators = mark(tags, table.lookup(cfg.separators))
+    separators = table.mark(tags, cfg.separators)
     edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, projection.camera.height))
     groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)

@@ -23,10 +23,9 @@ from roadperc_stream.chain.stages.objects.points import measured_by_points, usua
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
-from roadperc_stream.kernels import mark
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.model.frame import Frame
-from roadperc_stream.model.tag_tables import label_lookup
+from roadperc_stream.model.tag_tables import label_lookup, mark
 
 SAME_DISTANCE = 0.03
 """Largest relative difference between the distances of two regions of one object, as they share a nearest point."""

@@ -16,7 +16,6 @@ from roadperc_stream.chain.stages.objects.regions import ranked
 from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float, Float32
-from roadperc_stream.kernels import object_points
 from roadperc_stream.model import SIDES, Boundary, Detection, Lanes, Object, PathSource
 from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
@@ -177,10 +176,17 @@ def _points(frame: Frame, depth_m: Float32, detection: Detection, distance_m: fl
     x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
     step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
     lookup = None if frame.table is None else label_lookup(frame.table, detection.label)
-    of_class = None if frame.tags is None or lookup is None else (frame.tags, lookup)
-    behind_m = -_NEARER_M - _NEARER_SHARE * distance_m, OBJECT_LENGTH_M
-    pinhole = camera.fx, camera.fy, camera.cx, camera.cy
-    return object_points(depth_m, pinhole, (x0, y0, x1, y1, step), of_class, distance_m, behind_m)
+    box = slice(y0, y1, step), slice(x0, x1, step)
+    x, y = (np.arange(x0, x1, step) - camera.cx) / camera.fx, (np.arange(y0, y1, step) - camera.cy) / camera.fy
+    depths_m = depth_m[box].astype(np.float64)
+    behind_m = depths_m * np.sqrt(x**2 + (y**2 + 1.0)[:, None]) - distance_m
+    chosen = (behind_m > -_NEARER_M - _NEARER_SHARE * distance_m) & (behind_m < OBJECT_LENGTH_M)
+    if frame.tags is not None and lookup is not None:
+        chosen &= lookup[frame.tags[box]] > 0
+    rows, columns = np.nonzero(chosen)
+    z = depths_m[chosen]
+    points = np.stack((x[columns] * z, y[rows] * z, z), axis=-1)
+    return points, np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + z**2)
 
 
 def judged(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:

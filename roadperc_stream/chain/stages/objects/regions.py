@@ -19,13 +19,14 @@ from dataclasses import dataclass
 from math import hypot, isfinite
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects.mosaic import Indices, Mosaic, areas, boxes_of, corners
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.kernels import divided, region_distances
+from roadperc_stream.kernels import divided
 from roadperc_stream.kernels.objects_plain import numbered
 from roadperc_stream.model import Box, Ids, Image
 
@@ -183,7 +184,7 @@ def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     distances, noise = region.distances_m, region.noise
     if distances is None or noise is None:
         return UNKNOWN
-    near, noise_of_finite = region_distances(region.labels, region.of_region, distances, noise)
+    near, noise_of_finite = _smoothed(region.of_region[region.labels], distances, noise)
     measured = nearest(cfg, near)
     if measured.distance_m is None or measured.std_m is None:
         return measured
@@ -191,6 +192,25 @@ def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
     share = NOISE_LEFT * float(np.add.reduce(noise_of_finite) / len(noise_of_finite)) + SMOOTHING_STD
     doubt_m = _doubt_m(region.fit, measured.distance_m, ranked(near, 0.5)[0] - measured.distance_m)
     return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m, doubt_m))
+
+
+def _smoothed(of_region: NDArray[np.bool_], distances_m: Float32, noise: Float32) -> tuple[Float32, Float32]:
+    """The known distances of a region, each the mean of its finite ones in the 3x3 square, and the noise of the finite.
+
+    Both are of the pixels row by row, of which (h, w) ``of_region`` is the mask. Infinite distances stay infinite.
+    """
+    finite = of_region & (distances_m < np.inf)
+    known_m = np.where(finite, distances_m, np.float32(0))
+    sums = _sums_around(known_m, cv2.CV_64F).astype(np.float32)
+    counts = np.maximum(_sums_around(finite.view(np.uint8), cv2.CV_8U), np.uint8(1))
+    near = np.where(finite, sums / counts, distances_m)
+    return near[of_region & ~np.isnan(distances_m)], noise[finite]
+
+
+def _sums_around(values: NDArray[Any], depth: int) -> NDArray[Any]:
+    """(h, w) sums over the 3x3 square around each value, as numbers of an OpenCV depth."""
+    sums = cv2.boxFilter(values, depth, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(sums)
 
 
 def _doubt_m(fit: float, distance_m: float, spread_m: float) -> float:

@@ -2,7 +2,8 @@
 
 RANSAC (Fischler and Bolles 1981) finds the inliers. Gauss-Newton with Huber's weights refines the motion and gives the
 influence of each point on it. A point's error combines that of its pixel and the pixel shift that its depth error
-causes. Thus distant points with poor depth still determine the rotation.
+causes. Thus distant points with poor depth still determine the rotation. Huber's weights: Robust estimation of a
+location parameter, Annals of Mathematical Statistics 35, 1964.
 
 Both poses are measured against the same features. An error of a feature's point pulls both poses alike and cancels in
 the step, so the covariance uses the differences of the pulls. Neighbouring features err together, for example on one
@@ -20,8 +21,6 @@ import numpy as np
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rays, rigid
 from roadperc_stream.geometry.rotations import rotation_from_vector
-from roadperc_stream.kernels import linearise
-from roadperc_stream.kernels.odometry_plain import Projection, Weighting
 from roadperc_stream.model import Mask
 
 Scale = Literal["measured", "points", "carried", "none"]
@@ -48,6 +47,8 @@ _SYSTEMATIC: Final = 0.001
 part."""
 _FAR_M: Final = 60.0
 """Distance of points whose depth is unknown, for a camera that stands still."""
+_NEAREST_M: Final = 0.1
+"""Points nearer to the camera, or behind it, do not count."""
 _FREE: Final = 6
 """Degrees of freedom of a motion."""
 
@@ -123,20 +124,18 @@ def refined(camera: Camera, X: Float, px: Float, this_T_key: Float) -> tuple[Flo
     ``X`` are (N, 3) points in the keyframe's camera, ``px`` their (N, 2) pixels in this frame. Every iteration chooses
     the inliers again. The influence is None if the points do not determine the motion.
     """
-    model = _model(camera)
     for _ in range(_ITERATIONS):
-        residual, J, agrees = linearise(*model, X, px, this_T_key)
+        residual, J, agrees = linearise(camera, X, px, this_T_key)
         N = J.T @ J
         least, *_, most = np.linalg.eigvalsh(N)
         if np.sum(agrees) < _SMALLEST_SET or not least * _SINGULAR > most:
-            return this_T_key, agrees.astype(bool), None
+            return this_T_key, agrees, None
         small = np.asarray(np.linalg.solve(N, residual @ J), np.float64)
         this_T_key = moved(small) @ this_T_key
         if np.abs(small).max() < _CONVERGED:
             break
-    known = agrees.astype(bool)
-    each = (J * residual[:, None]).reshape(-1, 2, 6).sum(axis=1)[known]
-    return this_T_key, known, np.linalg.solve(N, each.T).T
+    each = (J * residual[:, None]).reshape(-1, 2, 6).sum(axis=1)[agrees]
+    return this_T_key, agrees, np.linalg.solve(N, each.T).T
 
 
 def standing_motion(camera: Camera, points_m: Float, key_px: Float32, px: Float32, motion: Motion) -> Motion:
@@ -147,7 +146,7 @@ def standing_motion(camera: Camera, points_m: Float, key_px: Float32, px: Float3
     used = motion.inliers
     far = rays(camera, key_px[used].astype(float)) * _FAR_M
     X = np.where(np.isfinite(points_m[used, 2:]), points_m[used], far)
-    residual, J, _ = linearise(*_model(camera), X, px[used].astype(float), motion.this_T_key)
+    residual, J, _ = linearise(camera, X, px[used].astype(float), motion.this_T_key)
     J = J[:, 2:]
     covariance = np.zeros((6, 6))
     covariance[2:, 2:] = np.linalg.pinv(J.T @ J)
@@ -157,11 +156,41 @@ def standing_motion(camera: Camera, points_m: Float, key_px: Float32, px: Float3
     return replace(motion, still=covariance, noise_variance=variance, length_variance=variance)
 
 
-def _model(camera: Camera) -> tuple[Projection, Weighting]:
-    """The projection of points, and the weights of their errors."""
+def linearise(
+    camera: Camera, points_m: Float, px: Float, this_T_key: Float, std_per_m: float = _DEPTH_STD_PER_M
+) -> tuple[Float, Float, Mask]:
+    """Weighted residuals of a (4, 4) motion and their derivatives, in standard deviations.
+
+    ``points_m`` are (N, 3) in the keyframe's camera, found at (N, 2) ``px`` in this frame. ``std_per_m`` is the
+    standard deviation of their depth over its square. Rows are multiplied by the square root of Huber's weight, so the
+    products of the rows are the weighted normal equations.
+
+    Returns:
+        (2 N,) residuals, u and v of each point; (2 N, 6) derivatives by a small translation and rotation of this
+        camera's coordinates; (N,) points in front of the camera and within the gate. All are 0 for other points.
+    """
+    fx, fy = camera.fx, camera.fy
     std_px = scaled(PIXEL_STD_PX, camera.height)
-    weighting = Weighting(std_px, _DEPTH_STD_PER_M, _HUBER, INLIER_PX / PIXEL_STD_PX)
-    return Projection(camera.fx, camera.fy, camera.cx, camera.cy), weighting
+    X, Y, Z = points_m.T
+    along_x, along_y, along_z, moved_m = this_T_key[:3].T[:, :, None]
+    with np.errstate(all="ignore"):  # points behind the camera are set to 0 below
+        x, y, z = along_x * X + along_y * Y + along_z * Z + moved_m
+        ray_x, ray_y, ray_z = along_x * (X / Z) + along_y * (Y / Z) + along_z
+        a, b, c, d = fx / z, -fx * x / (z * z), fy / z, -fy * y / (z * z)
+        off_px = np.stack((px[:, 0] - (fx * x / z + camera.cx), px[:, 1] - (fy * y / z + camera.cy)))
+        along_u, along_v = a * ray_x + b * ray_z, c * ray_y + d * ray_z
+        depth_std_m = std_per_m * (Z * Z)
+        variance = std_px**2 + (along_u * along_u + along_v * along_v) * (depth_std_m * depth_std_m)
+        off = np.sqrt((off_px[0] * off_px[0] + off_px[1] * off_px[1]) / variance)
+        agrees: Mask = (z > _NEAREST_M) & (off < INLIER_PX / PIXEL_STD_PX)
+        weight = np.sqrt(np.where(off > _HUBER, _HUBER / off, 1.0) / variance)
+        zero = np.zeros_like(z)
+        derivative_px = np.stack(
+            ((a, zero, b, b * y, a * z - b * x, -a * y), (zero, c, d, d * y - c * z, -d * x, c * x))
+        ).transpose(2, 0, 1)
+        residual, derivative = (weight * off_px).T, weight[:, None, None] * derivative_px
+    residual, derivative = np.where(agrees[:, None], residual, 0.0), np.where(agrees[:, None, None], derivative, 0.0)
+    return residual.reshape(-1), derivative.reshape(-1, 6), agrees
 
 
 def moved(small: Float) -> Float:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.planes import Plane, distance_per_depth, facing, fit_plane, plane_of_scatter
-from roadperc_stream.kernels import mark_near, marked, moments_near
+from roadperc_stream.kernels import mark_near, moments_near
 from roadperc_stream.kernels.surface_plain import PlaneDistances
 from roadperc_stream.model import Absent, Mask, Reason
 
@@ -152,7 +152,7 @@ def road_plane(
     if count < 3:
         return Absent(Reason("surface", "too_few_road_points", (count,)))
     chosen = rng.integers(0, count, min(_SUBSAMPLE, count))
-    sample = points_of(camera, depth_m, marked(usable.view(np.uint8), chosen))
+    sample = points_of(camera, depth_m, np.flatnonzero(usable)[chosen])
     plane = _ransac(cfg, sample, up, rng)
     if plane is None:
         return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))

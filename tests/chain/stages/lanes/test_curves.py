@@ -88,3 +88,14 @@ def test_without_information_the_curvature_has_its_prior():
     unknown, known = (np.sqrt(fit(cloud, (1.7, 0.0, 0.0)).covariance[2, 2]) for cloud in (near, far))
     assert 0.008 < unknown < 0.01
     assert known < 0.001
+
+
+@pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
+def test_rows_are_counted_once_and_only_beside_the_line(side, sign):
+    """Of six edges two are in one row, one is far inside, one unknown, and one beyond the curve's reach."""
+    x, inside_m = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 5.0]), np.array([0.1, 0.2, -0.1, 0.9, np.nan, 0.1])
+    state = sign * np.array([1.7, 0.02, 1 / 150])
+    edges = curves.Edges(x, curves.lateral(state, x) - sign * inside_m, np.array([3, 3, 4, 5, 6, 7]))
+    for reach_m, asides_m, rows in ((4.5, (0.0, 1.0), (2, 1)), (5.0, (0.0,), (3,)), (0.5, (0.0, 1.0), (0, 0))):
+        curve = curves.Curve(state, np.eye(3), reach_m)
+        assert curves._rows_near(curve, edges, np.full(6, 0.3), side, asides_m) == rows

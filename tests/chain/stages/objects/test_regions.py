@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
+from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, Mosaic, cut_out
 from roadperc_stream.chain.stages.objects.regions import (
     JUMPS,
@@ -229,3 +230,11 @@ def test_two_points_are_an_object_only_without_others():
     assert own_distances(box_of(few, CORNER)).min() == pytest.approx(5.0)
     assert own_distances(np.full((4, 5), np.nan, np.float32)).shape == (0,)
     assert own_distances(np.full((0, 5), np.nan, np.float32)).shape == (0,)
+
+
+def test_a_distance_is_the_mean_of_the_known_ones_around_it():
+    of_region = np.array([[1, 1, 1, 1], [0, 1, 1, 0]], bool)
+    distances = np.float32([[1, 2, np.nan, np.inf], [100, 6, 9, 100]])
+    near, noise = regions._smoothed(of_region, distances, np.float32([[1, 2, 3, 4], [5, 6, 7, 8]]))
+    assert near.tolist() == [3.0, 4.5, np.inf, 4.5, np.float32(17 / 3)]
+    assert noise.tolist() == [1.0, 2.0, 6.0, 7.0]

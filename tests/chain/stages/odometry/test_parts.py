@@ -19,7 +19,13 @@ from roadperc_stream.chain.stages.odometry.keyframes import (
     slope_of_plane,
     stretch,
 )
-from roadperc_stream.chain.stages.odometry.motion import motion_from_points, moved, scatter, step_covariance
+from roadperc_stream.chain.stages.odometry.motion import (
+    linearise,
+    motion_from_points,
+    moved,
+    scatter,
+    step_covariance,
+)
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
@@ -96,6 +102,40 @@ def test_a_camera_that_finds_only_far_features_again_does_not_stand_still():
     ]
     assert lengths[0] > 0.5
     assert lengths[1] == 0.0
+
+
+def off_by(px, Z=5.0):
+    """Residuals and derivatives of a point on the optical axis that is found ``px`` to the right of it."""
+    return linearise(CAMERA, np.array([(0.0, 0.0, Z)]), np.array([(CAMERA.cx + px, CAMERA.cy)]), np.eye(4), 0.0)
+
+
+def test_residuals_are_in_standard_deviations_and_large_ones_count_less_or_not_at_all():
+    std_px = 0.5 * CAMERA.height / 960
+    (near, J, _), (far, J_far, _), (lost, _, agrees) = (off_by(k * std_px) for k in (1.0, 3.0, 4.1))
+    np.testing.assert_allclose(near, (1.0, 0.0))
+    np.testing.assert_allclose(far, (3.0 / np.sqrt(2.0), 0.0))
+    np.testing.assert_allclose(J_far[0], J[0] / np.sqrt(2.0))
+    assert (lost.any(), agrees.tolist()) == (False, [False])
+    for Z in (0.1, 0.0, -5.0):
+        assert not any(part.any() for part in off_by(0.0, Z))
+
+
+def test_derivatives_are_those_of_differences():
+    X, T = cloud(50), moved(np.array((0.1, 0.2, 0.5, 0.02, -0.03, 0.01)))
+    px = g.project(CAMERA, g.transform(T, X)) + 0.01
+    J = linearise(CAMERA, X, px, T, 0.0)[1]
+    for k, step in enumerate(1e-6 * np.eye(6)):
+        after, before = (linearise(CAMERA, X, px, moved(sign * step) @ T, 0.0)[0] for sign in (1, -1))
+        np.testing.assert_allclose(-(after - before) / 2e-6, J[:, k], rtol=1e-4, atol=1e-2)
+
+
+def test_the_depths_error_counts_by_the_pixel_shift_that_it_causes():
+    X, ahead = np.array([(3.0, 0.0, 10.0)]), moved(np.array((0.0, 0.0, -2.0, 0.0, 0.0, 0.0)))
+    px = g.project(CAMERA, g.transform(ahead, X)) + np.array((5.0, 0.0))
+    shift_px = CAMERA.fx * abs(3.3 / 9.0 - 2.7 / 7.0) / 2  # for one standard deviation, a metre, to either side
+    (off, _), _, _ = linearise(CAMERA, X, px, ahead, 0.01)
+    expected = 5.0 / np.hypot(0.5 * CAMERA.height / 960, shift_px)
+    assert off == pytest.approx(np.sqrt(1.5 * expected) if expected > 1.5 else expected, rel=0.02)
 
 
 def seen(this_T_key, X, seed, noise_px=0.3, outliers=0.2):
