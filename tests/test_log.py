@@ -44,16 +44,6 @@ def test_a_failure_leaves_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_digest_depends_on_every_field():
-    def digest(item):
-        d = log.MessageDigest()
-        d.update(item)
-        return d.hexdigest()
-
-    variants = [message(), message(BARE), message(time=6), message(sequence=4), message(data=b"hellp")]
-    assert len({digest(v) for v in variants}) == len(variants)
-
-
 def test_the_digest_covers_topic_schema_times_sequence_and_bytes():
     digest = log.MessageDigest()
     digest.update(Message(Channel("/a", "raw", "x.Y"), 5, 4, 3, b"hello"))
@@ -115,14 +105,6 @@ def test_the_error_for_another_file_names_its_command(tmp_path, name, content, c
     with pytest.raises(LogError) as caught:
         log.summarise(tmp_path / name)
     assert str(caught.value).endswith(command.format(tmp_path))
-
-
-def test_the_error_for_a_damaged_log_names_roadperc_info(tmp_path):
-    (tmp_path / "my logs").mkdir()
-    path = broken(tmp_path / "my logs", "half")
-    with pytest.raises(LogError) as caught:
-        read_whole(path)
-    assert str(caught.value).endswith(f"; run roadperc-info '{path}' to see what is intact")
 
 
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])

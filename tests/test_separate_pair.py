@@ -136,15 +136,6 @@ def test_a_missing_left_image_is_not_replaced_by_the_front_image(tmp_path):
     assert table["surface_source"].to_list() == ["stereo", "held", "stereo"]
 
 
-def test_a_pair_without_left_images_gives_no_depth(tmp_path):
-    """Matching the front image with the right one would give depth with a wrong scale."""
-    table, _ = replayed(tmp_path, items(rectified(), without=[(k, "left") for k in range(FRAMES)]))
-    assert table["camera_height_m"].to_list() == pytest.approx([FRONT.height_m] * FRAMES, abs=1e-9)
-    assert set(table["surface_source"]) == {"assumed"}
-    for reasons in table["reason_codes"].to_list():
-        assert "stereo.no_left_image" in reasons
-
-
 def paired(left_frame_id, edges, **changes):
     """A pair of the front camera and the right one, with a calibration of the left camera but no image of it."""
     front, ego_T_front = replace(PINHOLE, frame_id="camera"), EGO_T_PAIR

@@ -67,12 +67,6 @@ def test_a_standing_car_is_not_frozen(sample, known):
     assert FROZEN not in odometry(standing)
 
 
-def test_an_image_that_shows_nothing_is_still_said_to(sample):
-    black = replace(sample[0].image, decode_grey=lambda: sample[0].image.grey * 0)
-    found = odometry([replace(frame, image=black if k else frame.image) for k, frame in enumerate(sample)])
-    assert {motion.reason.code for motion in found[1:]} == {"image_uniform"}
-
-
 SMALL = load_config(None, ("sync.max_wait_s=0.1",))
 RESUMED = {"checkpoint_every_s": 0.2, "resume": True}
 

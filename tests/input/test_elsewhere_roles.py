@@ -94,63 +94,9 @@ def test_a_calibration_beside_another_camera_is_never_taken(named):
     assert calibrations(channels, **named) == {"calibration": "/robot/cam0/calib"}
 
 
-def test_two_calibrations_beside_a_camera_are_candidates():
-    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, b__info_rectified=INFO, c__info=INFO)
-    roles = assign_roles(channels, {"image": "/a/rgb", "right": "/b/rgb"})
-    assert "right_calibration" not in roles.topics
-    assert candidates(channels, roles.topics) == {"right_calibration": ("/b/info", "/b/info_rectified")}
-
-
-def test_a_calibration_left_by_another_camera_is_not_taken():
-    """Of three cameras in one namespace, with calibrations of two: that of the third is not the right one's."""
-    channels = ros(s__a=IMAGE, s__b=IMAGE, s__c=IMAGE, s__a_info=INFO, s__c_info=INFO)
-    roles = assign_roles(channels, {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"})
-    assert "right_calibration" not in roles.topics
-    assert candidates(channels, roles.topics)["right_calibration"] == ("/s/c_info",)
-
-
-def test_one_calibration_beside_two_cameras_is_not_assigned():
-    channels = ros(s__a=IMAGE, s__b=IMAGE, s__info=INFO)
-    assert calibrations(channels, image="/s/a", right="/s/b") == {}
-    assert calibrations(channels, image="/s/a") == {"calibration": "/s/info"}
-
-
-def test_calibrations_in_one_namespace_are_distinguished_by_name():
-    channels = ros(s__left_image=IMAGE, s__right_image=IMAGE, s__left_info=INFO, s__right_info=INFO)
-    own = {"calibration": "/s/left_info", "right_calibration": "/s/right_info"}
-    assert calibrations(channels, image="/s/left_image", right="/s/right_image") == own
-
-
-def test_a_namespace_counts_more_than_a_name():
-    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, old__right_info=INFO)
-    assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/b/info"
-    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, old__right_info=INFO)
-    assert calibrations(channels, image="/a/rgb", right="/b/rgb")["right_calibration"] == "/old/right_info"
-
-
-def test_topics_without_a_namespace_are_not_matched():
-    channels = ros(color=IMAGE, other=IMAGE, front__rgb=IMAGE, front__info=INFO, info=INFO)
-    assert calibrations(channels, image="/front/rgb", right="/other") == {"calibration": "/front/info"}
-
-
 def test_compressed_images_use_the_calibration_of_the_raw_ones():
     channels = ros(a__rgb__compressed="sensor_msgs/msg/CompressedImage", a__info=INFO, b__info=INFO)
     assert calibrations(channels, image="/a/rgb/compressed") == {"calibration": "/a/info"}
-
-
-def test_depth_beside_an_image_uses_its_calibration():
-    channels = ros(cam__rgb=IMAGE, cam__range=IMAGE, cam__info=INFO)
-    assert calibrations(channels, image="/cam/rgb", depth="/cam/range") == {"calibration": "/cam/info"}
-    channels = ros(cam__rgb=IMAGE, tof__range=IMAGE, cam__info=INFO, tof__info=INFO)
-    assert calibrations(channels, image="/cam/rgb", depth="/tof/range") == {
-        "calibration": "/cam/info",
-        "depth_calibration": "/tof/info",
-    }
-
-
-def test_depth_does_not_take_a_calibration_of_a_pair():
-    channels = ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__range=IMAGE, b__info=INFO)
-    assert calibrations(channels, image="/a/rgb", right="/b/rgb", depth="/b/range") == {"calibration": "/a/info"}
 
 
 def test_unassigned_roles_are_listed():
@@ -171,12 +117,6 @@ def test_results_truths_and_assigned_topics_are_not_candidates():
     assert candidates(channels, {"image": "/cam/image"}) == {}
 
 
-def test_without_a_known_name_every_image_is_a_candidate():
-    """A topic of a Segway speaks of no segmentation."""
-    channels = ros(segway__left__labels__image=IMAGE)
-    assert candidates(channels, {}) == {"image": ("/segway/left/labels/image",)}
-
-
 def test_a_needed_role_must_be_chosen():
     with pytest.raises(
         ChannelError, match="2 topics fit role image: /a/image, /b/image; choose one with --topic image="
@@ -185,11 +125,6 @@ def test_a_needed_role_must_be_chosen():
     channels = ros(image=IMAGE, a__info=INFO, b__info=INFO)
     with pytest.raises(ChannelError, match="2 topics fit role calibration: /a/info, /b/info"):
         assign_roles(channels, {})
-
-
-def test_the_only_point_cloud_is_the_lidar():
-    channels = ros(cam__image=IMAGE, cam__camera_info=INFO, velodyne_points=CLOUD, radar__points=CLOUD)
-    assert assign_roles(channels, {}).topics["lidar"] == "/velodyne_points"
 
 
 ZED = {"left/image": IMAGE, "left/camera_info": INFO, "right/image": IMAGE, "right/camera_info": INFO}

@@ -18,7 +18,6 @@ from tests.resume.parts import inputs, results, rows, write
 
 CFG = load_config(None, ("sync.max_wait_s=0.2",))
 ROAD = replace(logs.SMALL, width=96, height=72)
-S = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -55,29 +54,11 @@ def test_new_segments_are_listed_with_stamps_and_frames():
     ]
 
 
-def test_at_most_five_segments_are_listed():
-    outcome = InputOutcome()
-    for segment in range(9):
-        outcome.add(synced(segment, 5), segment)
-    (note,) = notes_of(outcome)
-    assert note.startswith("9 segments, ")
-    assert note.endswith("; 4 from stamp 5000000 ns, 1 frames; and 4 more")
-
-
 @pytest.mark.parametrize(("begun", "said"), [(1, 0), (0, 1)])
 def test_a_continued_segment_is_not_new(begun, said):
     outcome = InputOutcome(begun)
     outcome.add(synced(1, 5), 1)
     assert len(notes_of(outcome)) == said
-
-
-def test_messages_in_no_frame_give_one_note():
-    outcome = InputOutcome()
-    for role, stamp_ms in [("depth", 3), ("lidar", 4), ("lidar", 54)]:
-        outcome.drop(item(role, stamp_ms))
-    assert notes_of(outcome) == [
-        "messages that belong to no frame: 1 on /depth, stamp 3000000 ns; 2 on /lidar, the first with stamp 4000000 ns"
-    ]
 
 
 def test_the_note_on_a_sensor_in_no_frame_names_the_setting():
@@ -127,12 +108,3 @@ def test_the_error_on_an_overlap_names_a_start_that_works(drive, tmp_path, capsy
     replay(tmp_path / "whole.mcap", tmp_path / "out.mcap", CFG)
     assert results([before, after]) == results([tmp_path / "out.mcap"])
     assert rows([before, after], "metrics").equals(rows([tmp_path / "out.mcap"], "metrics"))
-
-
-def test_a_missing_calibration_names_the_next_step(drive, tmp_path, capsys):
-    part = write(tmp_path / "1.mcap", between(drive, 4, 8))
-    assert main([str(part), str(tmp_path / "out.mcap")]) == 1
-    said = capsys.readouterr().err
-    assert "or --topic calibration=/TOPIC; pass the earlier files" in said
-    assert "or pass --continue" in said
-    assert said.endswith("; pass --fov DEGREES or --calibration FILE\n")

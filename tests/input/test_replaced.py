@@ -11,7 +11,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.config.calibration import CalibrationConfig
-from roadperc_stream.errors import ConfigError, RoadpercError
+from roadperc_stream.errors import RoadpercError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import is_result
@@ -20,8 +20,6 @@ from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.view.rerun.recording import save_recording
-from roadperc_stream.view.result_frames import read_frame
 from tests import logs
 from tests.analytic import box
 from tests.replaying import replay
@@ -99,27 +97,10 @@ def test_a_result_replays_itself_without_the_options(bare, tmp_path):
     assert [item.value for item in given if item.key.startswith("calibration")] == ["60.0", "1.4"]
 
 
-def test_readers_of_a_result_use_its_calibration(bare, tmp_path):
-    """Images are shown as the chain saw them: without the distortion of the given lens."""
-    lens = ("calibration.K=[[160,0,160],[0,160,120],[0,0,1]]", "calibration.D=[-0.3,0.1,0,0,0]")
-    found = {}
-    for name, settings in (("plain", lens[:1]), ("lens", lens)):
-        replay(bare, tmp_path / f"{name}.mcap", load_config(None, settings))
-        found[name] = read_frame(tmp_path / f"{name}.mcap", logs.START_NS, {}).image_bgr
-        assert save_recording(tmp_path / f"{name}.mcap", tmp_path / f"{name}.rrd", {}).frames == 3
-    assert not np.array_equal(found["plain"], found["lens"])
-
-
 def test_a_calibration_of_another_size_is_refused(bare, tmp_path):
     wrong = load_config(None, ("calibration.fov_deg=90", "calibration.width=640", "calibration.height=480"))
     with pytest.raises(RoadpercError, match=r"/camera/front/image: images of 320x240, .* of 640x480"):
         replay(bare, tmp_path / "out.mcap", wrong)
-
-
-def test_info_uses_the_options(bare):
-    cfg = load_config(None, ("calibration.fov_deg=90", "calibration.rgb_height_m=1.4"))
-    (camera,) = examine(bare, {}, cfg).replay.cameras
-    assert (camera.camera.fx, camera.ego_T_camera[2][3]) == (160.0, 1.4)
 
 
 def test_labels_are_known_by_the_configuration(bare, tmp_path):
@@ -132,13 +113,6 @@ def test_labels_are_known_by_the_configuration(bare, tmp_path):
     objects = pl.read_parquet(tmp_path / "out.objects.parquet")
     assert objects["label"].to_list() == ["car", "Pedestrian"]
     assert objects["class_ratio"].null_count() == 0
-
-
-def test_a_wrong_file_of_labels_names_the_known_ones(tmp_path):
-    with pytest.raises(ConfigError, match=r"caar.*bicycle, bus, car"):
-        load_config(None, ("labels.auto=caar",))
-    (tmp_path / "labels.toml").write_text('auto = "car"\n')
-    assert main(["in.mcap", "out.mcap", "--labels", str(tmp_path / "labels.toml")]) == 1
 
 
 def shifted(x, z=0.0):

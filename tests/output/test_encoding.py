@@ -1,7 +1,6 @@
 """Poses are encoded once, whatever their memory layout."""
 
 import numpy as np
-import pytest
 
 from roadperc_stream import geometry as g
 from roadperc_stream.geometry import rotations
@@ -20,14 +19,3 @@ def test_poses_in_column_order_give_the_same_bytes():
     assert encoding.encode_poses(STAMP, "odom", [np.asfortranarray(pose)]) == encoding.encode_poses(
         STAMP, "odom", [pose]
     )
-
-
-def test_each_pose_is_encoded_once(monkeypatch: pytest.MonkeyPatch):
-    encoded = []
-    monkeypatch.setattr(encoding, "quaternion", lambda rotation: encoded.append(1) or rotations.quaternion(rotation))
-    poses = [pose_at(7000.0 + k) for k in range(200)]  # beyond the places above: equal poses are cached
-
-    for shown in range(1, len(poses) + 1):
-        encoding.encode_poses(STAMP, "odom", poses[:shown])
-
-    assert len(encoded) == len(poses)

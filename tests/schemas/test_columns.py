@@ -1,17 +1,15 @@
 """The one table of columns, and all that is made from it."""
 
 import re
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, get_type_hints
 
 import pyarrow as pa
 import pytest
 
-from roadperc_stream.eval.metrics_page import table, with_tables
-from roadperc_stream.eval.report_columns import DERIVED, NUMBERS
+from roadperc_stream.eval.metrics_page import with_tables
 from roadperc_stream.output.tables import arrow_schema
-from roadperc_stream.schemas.columns import TIME_COLUMNS, Column, FrameMetrics, ObjectMetrics, columns_of, row_of
+from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics, columns_of
 from roadperc_stream.schemas.row_messages import FrameMetrics as FrameMetricsProto
 
 PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
@@ -27,15 +25,6 @@ def test_every_column_has_a_meaning(row_type):
         ending = name.rsplit("_", 1)[-1]
         known = {"m": "m", "s": "s", "deg": "deg", "px": "px", "ns": "ns", "ms": "ms", "mps": "m/s", "ratio": "ratio"}
         assert column.unit == known.get(ending, column.unit), name
-
-
-@ROWS
-def test_a_nullable_column_says_when_it_is_null(row_type):
-    hints, shared = get_type_hints(row_type), ("lane_tusimple", "lane_culane", "filter_", "stereo_", "lane_")
-    for name, column in columns_of(row_type).items():
-        optional = type(None) in getattr(hints[name], "__args__", ())
-        assert optional or not column.null, name
-        assert column.null or not optional or name.startswith(shared) or name.startswith("detections"), name
 
 
 def test_the_message_has_the_columns_in_the_order_of_the_table():
@@ -57,56 +46,8 @@ def test_the_table_has_every_column_in_its_order():
     assert schema.names[-len(TIME_COLUMNS) - 2 :][:2] == ["reasons", "reason_codes"]
 
 
-def test_labels_of_reports_are_unique():
-    columns = {**columns_of(FrameMetrics), **dict.fromkeys(TIME_COLUMNS)}
-    stored = [quantity for quantity in NUMBERS if quantity not in DERIVED]
-    assert {quantity.column for quantity in stored} <= columns.keys()
-    assert {name for name, column in columns.items() if column and column.label} <= {q.column for q in stored}
-
-
 def test_the_page_defines_every_column():
     page = PAGE.read_text(encoding="utf-8")
     assert page == with_tables(page), "run `make pages`"
     for name in (*columns_of(FrameMetrics), *columns_of(ObjectMetrics)):
         assert re.search(rf"^\| (`\w+`, )*`{name}`[, |]", page, re.MULTILINE), name
-
-
-def test_a_table_of_the_page():
-    assert (
-        table(["LaneErrorColumns"])
-        .splitlines()[2]
-        .startswith("| `lane_left_error_m`, `lane_right_error_m` | y(10 m) - y*(10 m)")
-    )
-    with pytest.raises(KeyError, match="Nobody"):
-        with_tables("<!-- columns: Nobody -->\n<!-- end -->")
-
-
-@dataclass(frozen=True)
-class First:
-    a: Annotated[int, Column("one")]
-
-
-@dataclass(frozen=True)
-class Second:
-    b: Annotated[float | None, Column("other")] = None
-
-
-@dataclass(frozen=True)
-class Both(Second, First):
-    pass
-
-
-def test_a_row_is_made_of_its_groups():
-    assert row_of(Both, First(1), Second(2.0)) == Both(1, 2.0)
-    assert list(columns_of(Both)) == ["a", "b"]
-    with pytest.raises(TypeError, match="missing"):
-        row_of(Both, Second(2.0))
-
-
-def test_a_field_without_a_definition_is_refused():
-    @dataclass(frozen=True)
-    class Bare:
-        c: int
-
-    with pytest.raises(TypeError, match="c: expected a column's definition"):
-        columns_of(Bare)

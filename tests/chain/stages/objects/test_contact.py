@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.objects import contact
 from roadperc_stream.chain.stages.objects.contact import contacts, ground_of, with_distances
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.chain.stages.surface.road import known_surface
@@ -92,12 +91,6 @@ def test_a_lower_edge_behind_nearer_boxes_is_no_contact(left_m, hidden):
     assert near.distance_m is not None
 
 
-def test_a_dropped_detection_hides_nothing():
-    far, near = Object(back(20.0), kept=True), Object(back(15.0), kept=False)
-    assert contacts(ROAD.camera, GROUND, [far, near]).keys() == {0, 1}
-    assert contacts(ROAD.camera, GROUND, [far, replace(near, kept=True)]).keys() == {1}
-
-
 def drive(speed_mps, frames=40, start_m=30.0, noise_px=0.5, pitch_error=0.0, seed=0, left_m=0.0):
     """The objects of a drive towards a car, with a constant error of the plane's pitch; the true distance at last."""
     rng, state, seen, ahead_m = np.random.default_rng(seed), ObjectsState(), [], start_m
@@ -137,24 +130,6 @@ def test_a_car_at_a_constant_distance_or_beside_the_path_has_no_time_to_impact()
     beside = drive(10.0, left_m=4.0)[0][-1]
     assert (beside.in_path, beside.time_to_impact_s) == (False, None)
     assert beside.lateral_m == pytest.approx(4.0, abs=1.2)
-
-
-def test_depth_ends_what_the_ground_began():
-    state = ObjectsState()
-    for frame, ground in ((1, GROUND), (2, GROUND), (3, None)):
-        depth_m = np.full(ROAD.camera.size, 19.0, np.float32) if ground is None else None
-        scene = scene_of(
-            ROAD.camera, ROAD.ego_T_camera, stamp_ns=frame * STEP_NS, detections=(back(20.0, "Car"),), depth_m=depth_m
-        )
-        state, objects = step(CFG, state, scene, ground=ground)
-        (track,) = state.tracks
-        (item,) = objects.objects
-        assert (track.growth is None, track.ground_share is None) == (ground is None, ground is None)
-        assert item.distance_source == ("depth" if ground is None else "ground")
-
-
-def test_edges_have_a_least_deviation():
-    assert (contact.edge_std_px(10.0), contact.edge_std_px(100.0)) == (1.0, 3.0)
 
 
 def test_a_box_that_a_nearer_one_touches_is_whole_but_not_clear():

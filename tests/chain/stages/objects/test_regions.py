@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import label
 
 from roadperc_stream.chain.stages.objects import regions
-from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, Mosaic, cut_out
+from roadperc_stream.chain.stages.objects.mosaic import Mosaic, cut_out
 from roadperc_stream.chain.stages.objects.regions import (
     JUMPS,
     MISSING_WEIGHT,
@@ -72,13 +72,6 @@ def test_a_far_region_that_may_be_another_car_of_a_row_is_uncertain(fit, next_m,
     assert least_m <= std_m <= most_m
 
 
-def test_the_order_of_boxes_does_not_matter():
-    one, other = regions_of(NEAR, FAR), regions_of(FAR, NEAR)
-    assert [r.fit for r in one[0]] == [r.fit for r in other[1]]
-    assert [r.box_px for r in one[1]] == [r.box_px for r in other[0]]
-    assert [r.fit for r in regions_of(FAR)[0]] == [r.fit for r in one[1]]
-
-
 def test_a_side_that_recedes_is_not_divided():
     """From 8 m to 16 m over 40 columns: 2 % a column."""
     tags = np.zeros(CAMERA.size, np.uint8)
@@ -126,18 +119,6 @@ def test_isolated_pixels_and_pairs_belong_to_no_region():
     rows, columns = np.nonzero(mosaic.of_class)
     assert [(c + x, r + y) for c, r in zip(columns, rows, strict=True) for x, y in mosaic.first_px] == [(13, 12)]
     assert mosaic.of_class.max() == 1
-
-
-def test_large_boxes_are_sampled_within_the_image():
-    camera = Camera("camera", 1000, 800, 500.0, 500.0, 499.5, 399.5)
-    tags = np.full(camera.size, VEHICLE, np.uint8)
-    scene = scene_of(camera, tags=tags, depth_m=np.full(camera.size, 5.0, np.float32))
-    box = Box(-50, -50, 1200, 300)
-    mosaic = cut_out(scene, [label_lookup(TABLE, "Car")], [box])
-    assert max(mosaic.of_class.shape) <= LONGEST_SIDE + 1
-    (region,) = find_regions(camera, mosaic, [box])[0]
-    assert (region.box_px.x_min, region.box_px.y_min) == (0, 0)
-    assert region.fit > 0.75
 
 
 @pytest.mark.parametrize(
@@ -193,11 +174,6 @@ def test_each_region_of_each_jump_once():
         assert len(set(found)) == len(found)
         assert set(found) == set.union(*expected)
         assert {r for r, way in zip(found, division.ways, strict=True) if way == 0} == expected[0]
-
-
-def test_no_pixels_of_the_class():
-    division = divide(mosaic_of(np.zeros((5, 4), np.uint8), np.zeros((5, 4), np.float32)))
-    assert (division.bounds.shape, division.pixels.shape) == ((4, 0), (0,))
 
 
 WHOLE = (12.6, range(3, 28, 6), range(2, 58, 2))

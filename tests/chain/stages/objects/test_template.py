@@ -36,13 +36,6 @@ def test_a_template_is_the_middle_of_its_box(box, off_px, shape):
     assert made.sides_px == (box.x_max - box.x_min, box.y_max - box.y_min)
 
 
-def test_the_least_score_decides():
-    other = np.random.default_rng(1).integers(0, 256, TEMPLATE.shape, dtype=np.uint8)
-    _, score = correlate(IMAGE, other, WHOLE).match(-1.0)
-    assert -1 < score < 0.6
-    assert correlate(IMAGE, other, WHOLE).match(0.6) is None
-
-
 def test_a_window_too_small_or_a_template_without_texture_gives_no_correlation():
     for around in (Box(50, 30, 69, 42), Box(50, 30, 70, 41), Box(200, 30, 300, 60), Box(9, 9, 9, 9)):
         assert correlate(IMAGE, TEMPLATE, around) is None
@@ -119,16 +112,6 @@ def test_the_obstacles_distance_is_along_the_ray_or_the_axis():
     )
     assert (depth, low) == (12.0, 20.0)
     assert ray == pytest.approx(12.0 * np.sqrt(1 + (118.5 / 200) ** 2 + (57.5 / 200) ** 2))
-
-
-@pytest.mark.parametrize("template_distance", ["ray", "depth"])
-def test_an_obstacle_beyond_the_depths_range_has_no_distance(template_distance):
-    image = texture()
-    limit_m = 65.535
-    depth_m = np.full(image.shape, limit_m, np.float32)
-    scene = scene_of(CAMERA, grey=image, depth_m=depth_m, limit_m=limit_m)
-    item, _ = find_obstacle(cfg_of(image[60:95, 40:90], template_distance=template_distance), scene)
-    assert (item.distance_m, item.beyond_range) == (None, True)
 
 
 def test_an_obstacle_is_an_object_without_detections():

@@ -1,7 +1,5 @@
 """Functions of odometry against known answers."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +7,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.odometry import epipolar
 from roadperc_stream.chain.stages.odometry.alignment import aligned
 from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, MAX_POINTS, spread, tracking_frame
@@ -26,12 +23,10 @@ from roadperc_stream.chain.stages.odometry.motion import (
     scatter,
     step_covariance,
 )
-from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, photograph, pose
 from tests.scenes import scene_of
 
-FULL = OdometryConfig()
 small = st.floats(-0.05, 0.05)
 motions = st.builds(
     lambda rx, ry, rz, x, y, z: g.rigid(Rotation.from_rotvec((rx, ry, rz)).as_matrix(), np.array([x, y, z])),
@@ -91,19 +86,6 @@ def test_without_known_points_a_motion_has_the_fallback_length_and_a_turn_has_no
     assert turned.influence is None
 
 
-def test_a_camera_that_finds_only_far_features_again_does_not_stand_still():
-    ahead, X = moved(np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0])), cloud(100)
-    X[:20] *= 100
-    px = pixels_of(ahead, X)
-    px[20:] = np.nan
-    lengths = [
-        np.linalg.norm(motion_from_rays(CAMERA, pixels_of(np.eye(4), X), found, X, 1.0).this_T_key[:3, 3])
-        for found in (px, pixels_of(np.eye(4), X))
-    ]
-    assert lengths[0] > 0.5
-    assert lengths[1] == 0.0
-
-
 def off_by(px, Z=5.0):
     """Residuals and derivatives of a point on the optical axis that is found ``px`` to the right of it."""
     return linearise(CAMERA, np.array([(0.0, 0.0, Z)]), np.array([(CAMERA.cx + px, CAMERA.cy)]), np.eye(4), 0.0)
@@ -146,28 +128,12 @@ def seen(this_T_key, X, seed, noise_px=0.3, outliers=0.2):
     return px.astype(np.float32)
 
 
-def test_a_sample_of_a_wrong_direction_loses_to_the_expected_motion(monkeypatch):
-    monkeypatch.setattr(epipolar, "_by_sampling", lambda *_: (np.eye(3), np.array([1.0, 0.0, 0.0])))
-    ahead, X = moved(np.array([0.0, 0.0, -0.6, 0.0, 0.0, 0.0])), cloud()
-    key_px, px, unknown = pixels_of(np.eye(4), X), seen(ahead, X, 0), np.full_like(X, np.nan)
-    wrong, right = (motion_from_rays(CAMERA, key_px, px, unknown, 1.0, expected) for expected in (None, ahead))
-    assert wrong.this_T_key[2, 3] > -0.5
-    np.testing.assert_allclose(right.this_T_key[:3, 3], (0.0, 0.0, -1.0), atol=0.05)
-
-
 @pytest.mark.parametrize("seed", range(10))
 def test_a_car_that_is_expected_to_drive_ahead_may_reverse(seed):
     ahead, X = moved(np.array([0.0, 0.0, -0.6, 0.0, 0.0, 0.0])), cloud()
     px = seen(g.inverse(ahead), X, seed)
     back = motion_from_rays(CAMERA, pixels_of(np.eye(4), X), px, np.full_like(X, np.nan), 1.0, ahead)
     assert back.this_T_key[2, 3] > 0.9
-
-
-def test_too_few_features_give_no_covariance():
-    pulls, px = np.ones((7, 6)), np.zeros((7, 2), np.float32)
-    assert scatter(pulls[:6], px[:6], CAMERA.width) is None
-    assert scatter(pulls, px, CAMERA.width) is not None
-    assert step_covariance(px[:6], CAMERA.width, pulls[:6], 0 * pulls[:6], np.eye(4), 0.0) == ()
 
 
 def test_the_covariance_is_the_scatter():
@@ -259,14 +225,6 @@ def test_a_patch_seen_from_half_the_distance_is_twice_as_large():
     np.testing.assert_allclose(got[0], 2 * np.eye(2), atol=1e-9)
 
 
-def test_points_are_spread_over_the_image():
-    rng = np.random.default_rng(0)
-    px = np.concatenate((rng.uniform(0, 100, (5000, 2)), rng.uniform(0, (640, 480), (300, 2)))).astype(np.float32)
-    chosen = spread(px, rng.random(len(px)).astype(np.float32), CAMERA.size)
-    assert (px[chosen] < 100).all(axis=1).mean() < 0.2
-    assert len(set(chosen.tolist())) == len(chosen) <= MAX_POINTS
-
-
 @pytest.mark.parametrize("size", [(376, 1242), (480, 1920), (480, 640)])
 def test_points_reach_every_edge_of_an_image_of_any_shape(size):
     rows, columns = np.indices(size)[:, ::4, ::4].reshape(2, -1)
@@ -293,26 +251,6 @@ def test_a_shifted_image_is_matched_to_sub_pixels(features):
     far = kept & (found.px[:, 1] < 250)
     # The lens is 1.5 m ahead of the axis and moves 3 cm sideways, which shifts far points by less than 2 px.
     assert np.median(np.abs(px - g.project(CAMERA, about_lens))[far]) < 1.5
-
-
-@pytest.mark.parametrize(
-    ("rows", "columns", "shrink"),
-    [(480, 640, 2), (960, 1280, 4), (478, 640, 1), (481, 640, 1), (480, 641, 1), (482, 642, 2), (240, 640, 1)],
-)
-def test_an_image_is_halved_while_its_size_is_even_and_enough_rows_remain(rows, columns, shrink):
-    camera = replace(CAMERA, width=columns, height=rows)
-    frame = tracking_frame(CFG, scene_of(camera, EGO_T_CAMERA), np.zeros((rows, columns), np.uint8), None)
-    assert frame.shrink == shrink
-    assert frame.grey.shape == frame.camera.size == (rows // shrink, columns // shrink)
-
-
-@pytest.mark.parametrize("shrink", [1, 2, 4])
-def test_pixels_of_the_tracked_image_are_converted_to_the_frame(shrink):
-    camera = g.Camera("front", 640, 240 * shrink, 300.0, 310.0, 333.0, 111.0)
-    frame = tracking_frame(CFG, scene_of(camera, EGO_T_CAMERA), np.zeros(camera.size, np.uint8), None)
-    X = np.array([[1.0, -0.5, 7.0], [-2.0, 0.4, 20.0]])
-    assert frame.shrink == shrink
-    np.testing.assert_allclose(frame.whole(g.project(frame.camera, X)), g.project(camera, X), rtol=1e-6)
 
 
 def test_movable_objects_are_avoided_with_a_margin():
@@ -342,13 +280,3 @@ def test_landmarks_have_the_depths_points_and_are_not_aligned_outside_the_image(
     assert px.shape == landmarks.features.px.shape
     assert len(px) > 20
     assert np.isnan(px).all()
-
-
-@pytest.mark.parametrize("features", ["klt", "orb", "sift"])
-def test_images_too_small_for_a_feature_have_none(features):
-    cfg = CFG.model_copy(update={"features": features})
-    for shape in ((1, 1), (1, 400), (400, 1), (2, 2)):
-        grey = np.zeros(shape, np.uint8)
-        found, strength = FRONTENDS[features].detect(grey, np.ones_like(grey))
-        assert (found.px.shape, strength.shape) == ((0, 2), (0,))
-        assert FRONTENDS[features].match(cfg, grey, found, found.px, grey).shape == (0, 2)

@@ -95,8 +95,3 @@ def test_a_standing_car_holds_the_plane_without_limit():
         state, road, _ = choose_road(CFG, state, scene, Absent(FAILED), motion(ahead_m=0.0))
         assert (state.driven_m, road.source) == (STATE.driven_m, "held")
     assert state.ego_plane.normal == pytest.approx(PLANE.normal)
-
-
-def test_without_depth_and_without_a_held_plane_the_mounting_gives_the_road():
-    state, road, reasons = after(STATE, replace(WITH_DEPTH, raw_depth_m=None), None)
-    assert (state, road.source, reasons) == (SurfaceState(), "assumed", ())
