@@ -19,6 +19,13 @@ _NOT_RUN: Final = Absent(Reason("stereo", "not_run"))
 _SAME_PLACE_M: Final = 1e-6
 
 
+def mark(tags: Image, lookup: Image) -> Image:
+    """(H, W) 1 at pixels of a class, else 0; ``lookup`` is (256,) 1 at its tags. ``tags`` (H, W) are not empty."""
+    import cv2  # readers of results do not need it
+
+    return np.asarray(cv2.LUT(np.ascontiguousarray(tags), lookup), np.uint8)
+
+
 @dataclass(frozen=True)
 class Frame:
     """The whole input of the chain at one instant: its messages, and the pixels that ``prepare`` decodes from them.
@@ -130,7 +137,7 @@ class Frame:
         if self.table is None or self.tags is None:
             return None
         if classes not in self._labels:
-            self._labels[classes] = self.table.mark(self.tags, classes)
+            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
             self._labels[classes].setflags(write=False)
         return self._labels[classes]
 

@@ -13,7 +13,6 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,18 +64,9 @@ class TagTable:
         table[list(self.tags_of(classes))] = 1
         return table
 
-    def mark(self, tags: NDArray[np.uint8], classes: Iterable[str]) -> NDArray[np.uint8]:
-        """(H, W) 1 at pixels of the named classes, else 0; ``tags`` (H, W) are not empty."""
-        return mark(tags, self.lookup(classes))
-
     def name_of(self, tag: int) -> str:
         """Class name of a tag; a tag outside the table is ``unlabeled``."""
         return self.names[tag] if tag < len(self.names) else UNLABELED
-
-
-def mark(tags: NDArray[np.uint8], lookup: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) 1 at pixels of a class, else 0; ``lookup`` is (256,) 1 at its tags. ``tags`` (H, W) are not empty."""
-    return np.asarray(cv2.LUT(np.ascontiguousarray(tags), lookup), np.uint8)
 
 
 def _rgb(value: Any) -> Colour:

@@ -6,6 +6,7 @@ import pytest
 from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model import tag_tables as s
+from roadperc_stream.model.frame import mark
 
 
 @pytest.mark.parametrize(
@@ -178,4 +179,4 @@ def test_a_tag_beyond_the_table_is_unlabeled():
 def test_pixels_of_classes():
     tags = np.arange(24, dtype=np.uint8).reshape(4, 6)[:, ::2]
     table, classes = s.CARLA_BEFORE_0_9_14, ("road", "road_line")
-    np.testing.assert_array_equal(table.mark(tags, classes), np.isin(tags, table.tags_of(classes)))
+    np.testing.assert_array_equal(mark(tags, table.lookup(classes)), np.isin(tags, table.tags_of(classes)))

@@ -12,6 +12,7 @@ from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, transform
 from roadperc_stream.geometry.ground import ground_points, height_at
 from roadperc_stream.model import SIDES, Image, Mask, Side, Surface
+from roadperc_stream.model.frame import mark
 from roadperc_stream.model.tag_tables import TagTable
 
 _FRINGE_PX = 4
@@ -155,7 +156,7 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     if far is None:
         return Observation(projection, tags, table, float(projection.camera.cy), float(projection.camera.height))
     bottom = lines.road_near_end(drivable)
-    separators = table.mark(tags, cfg.separators)
+    separators = mark(tags, table.lookup(cfg.separators))
     edge_pixels = lines.edges_of(cfg, separators)
     proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, projection.camera.height))
     groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)

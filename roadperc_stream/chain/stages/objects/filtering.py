@@ -24,8 +24,8 @@ from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Regi
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
-from roadperc_stream.model.frame import Frame
-from roadperc_stream.model.tag_tables import label_lookup, mark
+from roadperc_stream.model.frame import Frame, mark
+from roadperc_stream.model.tag_tables import label_lookup
 
 SAME_DISTANCE = 0.03
 """Largest relative difference between the distances of two regions of one object, as they share a nearest point."""

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.model import Box, Ids, Image
-from roadperc_stream.model.frame import Frame
-from roadperc_stream.model.tag_tables import classes_of_label, mark
+from roadperc_stream.model.frame import Frame, mark
+from roadperc_stream.model.tag_tables import classes_of_label
 
 MARGIN = 0.25
 """Margin around a box, as a share of its sides: an object that continues there is larger than the box."""

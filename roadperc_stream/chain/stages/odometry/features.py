@@ -18,7 +18,7 @@ from roadperc_stream.config import OdometryConfig, scaled
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.ground import part
 from roadperc_stream.model import Image, Mask, Surface, read_only
-from roadperc_stream.model.frame import Frame
+from roadperc_stream.model.frame import Frame, mark
 
 _MOVABLE = ("vehicle", "pedestrian")
 """Classes on which no feature is detected or tracked."""
@@ -134,7 +134,7 @@ def _movable(frame: Frame, grey: Image) -> Image | None:
         return None
     rows, columns = grey.shape
     tags = cv2.resize(frame.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
-    movable: Image = frame.table.mark(np.asarray(tags, np.uint8), _MOVABLE)
+    movable: Image = mark(np.asarray(tags, np.uint8), frame.table.lookup(_MOVABLE))
     if not movable.any():
         return movable
     side = max(round(scaled(WINDOW_PX, rows)), 1) | 1
