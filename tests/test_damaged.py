@@ -7,7 +7,6 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.info import main as info_main
-from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import LogError
 from roadperc_stream.log import Message
@@ -116,17 +115,6 @@ def test_recover_does_not_change_the_replay_of_a_whole_log(whole):
     target, summary = run(whole, "out", recover=True, strict=True)
     assert plain.read_bytes() == target.read_bytes()
     assert summary.warnings == ()
-
-
-def test_replay_prints_what_was_lost(damaged, capsys):
-    target = damaged.with_name("out.mcap")
-    arguments = [str(damaged), str(target), "--only", "surface"]
-    assert replay_main(arguments) == 1
-    assert "--recover" in capsys.readouterr().err
-    assert replay_main([*arguments, "--recover"]) == 0
-    out = capsys.readouterr().out
-    assert f"warning: {damaged}: damaged at byte" in out
-    assert "warning: lost from 0." in out
 
 
 def test_info_writes_and_reports_a_repaired_log(damaged, capsys):

@@ -224,28 +224,6 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
     }
 
 
-@pytest.mark.parametrize("role", ["depth", "segmentation", "detections"])
-def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
-    source = logs.write(tmp_path / "in.mcap", logs.items(roles=tuple(r for r in logs.ALL if r != role)))
-    target, _ = run(source)
-    table = metrics(target)
-    assert table.height == 6
-    if role == "depth":
-        assert table["surface_source"].to_list() == ["assumed"] + ["estimated"] * 5
-    if role == "segmentation":
-        assert table["lane_left_offset_m"].null_count() == 6
-        assert table["detections_unjudged"].to_list() == [2] * 6
-        reasons = [
-            "stereo.no_right_image",
-            "lanes.no_segmentation",
-            "surface.no_segmentation_lower_image",
-            "objects.no_segmentation_not_filtered",
-        ]
-        assert table["reason_codes"].to_list() == [reasons] * 6
-        texts = [m.data for m in by_topic(target)["/perception/log"]]
-        assert len(texts) == len(reasons), "each is logged once, not in every frame"
-
-
 def test_without_images_depth_makes_the_frames(tmp_path):
     source = logs.write(tmp_path / "in.mcap", logs.items(roles=("calibration", "depth")))
     target, summary = run(source)
@@ -319,30 +297,3 @@ def test_a_log_that_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys,
 def test_a_time_range_or_topic_that_the_log_does_not_have_is_an_error(source, options, error, message):
     with pytest.raises(error, match=message):
         run(source, **options)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [["--frames", "0"], ["--only", "sonar"], ["--start", "x"], ["--start", "nan"], ["--end", "inf"], []],
-    ids=["no frames", "no stage", "no number", "nan", "inf", "no files"],
-)
-def test_wrong_usage_is_exit_code_2(arguments, capsys):
-    files = ["a", "b"] if arguments else []
-    with pytest.raises(SystemExit) as caught:
-        replay_main([*files, *arguments])
-    assert caught.value.code == 2
-    assert "usage:" in capsys.readouterr().err
-
-
-def test_the_command_prints_its_outputs(source, capsys):
-    target = source.with_name("out.mcap")
-    assert replay_main([str(source), str(target), "--only", "surface", "--set", "surface.inlier_m=0.04"]) == 0
-    out, err = capsys.readouterr()
-    assert "6 frames" in out
-    assert str(target) in out
-    assert err == ""
-    assert metrics(target)["reason_codes"].to_list()[0] == [
-        f"{stage}.switched_off" for stage in ("stereo", "odometry", "lanes", "objects", "occupancy")
-    ]
-    assert replay_main([str(source), str(target), "--force", "--quiet"]) == 0
-    assert capsys.readouterr().out == ""

@@ -11,12 +11,9 @@ from functools import partial
 import polars as pl
 import pytest
 
-import roadperc_stream as rp
 from roadperc_stream import loop
 from roadperc_stream.chain import prepare
-from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import ConfigError, LogError
 from roadperc_stream.output import writing
 from roadperc_stream.output.encoding import encode_image
 from roadperc_stream.output.tables import sidecar_path
@@ -126,26 +123,6 @@ def test_a_resumed_replay_has_the_files_of_an_uninterrupted_one(tmp_path, thread
 
 
 @pytest.mark.parametrize("threads", [1, *THREADS])
-@pytest.mark.parametrize(
-    ("items", "words"),
-    [
-        (
-            broken("detections", 4),
-            rf"in\.mcap: /camera/front/detections: message at {logs.START_NS + 4 * STEP_NS} ns: ",
-        ),
-        (LOGS["broken image"](), str(BROKEN_NS)),
-    ],
-    ids=["no message", "no image"],
-)
-def test_an_error_in_reading_or_decoding_names_its_message(tmp_path, threads, items, words):
-    source = logs.write(tmp_path / "in.mcap", items)
-    with pytest.raises(LogError, match=words):
-        replay(source, tmp_path / "out.mcap", CFG, strict=True, threads=threads)
-    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
-    assert threads_left() == []
-
-
-@pytest.mark.parametrize("threads", [1, *THREADS])
 @pytest.mark.parametrize("step", [*CHAIN, "write"])
 def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monkeypatch, threads, step):
     source, calls = logs.write(tmp_path / "in.mcap", items_of()), []
@@ -213,17 +190,3 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
         assert times[column].to_list() == pytest.approx([milliseconds] * FRAMES), column
     parts = times.drop("total_ms").sum_horizontal()
     assert parts.to_list() == pytest.approx(times["total_ms"].to_list())
-
-
-@pytest.mark.parametrize(
-    ("threads", "error", "words"),
-    [(wrong, TypeError, "expected a whole number of 1 or more") for wrong in ("x", 1.5, True)]
-    + [(few, ConfigError, "expected 1 or more") for few in (0, -1)],
-)
-def test_threads_are_counted_in_whole_numbers_from_1_on(tmp_path, capsys, threads, error, words):
-    with pytest.raises(error, match=f"threads: {threads!r}, {words}"):
-        rp.replay(tmp_path / "in.mcap", tmp_path / "out.mcap", threads=threads)
-    with pytest.raises(SystemExit) as end:
-        main(["in.mcap", str(tmp_path / "out.mcap"), "--threads", str(threads)])
-    assert end.value.code == 2
-    assert "expected" in capsys.readouterr().err.partition("--threads: ")[2]

@@ -107,15 +107,6 @@ def test_every_kind_and_filter_with_other_chunks(chunks, others, random):
     assert_same_as_others(file_of(chunks))
 
 
-@given(
-    chunks=plain_chunks(tuple((3, bits) for bits in BITS[3])),
-    size=st.sampled_from((0, 1, 3, 4, 6, 765, 767, 768, 769, 771, 10_000)),
-)
-def test_palettes_of_any_size(chunks, size):
-    palette = (b"PLTE", bytes(k % 256 for k in range(size)))
-    assert_same_as_others(file_of([palette if chunk == PALETTE else chunk for chunk in chunks]))
-
-
 @given(plain_chunks(), st.integers(0, 5), st.integers(0, 5))
 def test_missing_repeated_or_reordered_chunks(chunks, one, other):
     chunks = list(chunks)
@@ -138,28 +129,6 @@ def test_cut_and_extended_files(chunks, data):
     whole = file_of(chunks)
     assert_same_as_others(whole[: data.draw(st.integers(0, len(whole)))])
     assert_same_as_others(whole + data.draw(st.binary(min_size=1, max_size=20)))
-
-
-@given(window_bits=st.integers(9, 15), declared=st.integers(0, 8))
-def test_a_stream_of_every_window(window_bits, declared):
-    """zlib refuses a stream that looks back farther than its declared window."""
-    rows = np.random.default_rng(1).integers(0, 256, (40, 1 + 3 * 100), dtype=np.uint8)
-    rows[:, 0] = 0
-    rows[20:] = rows[:20]  # 6020 bytes back
-    compressor = zlib.compressobj(9, wbits=window_bits)
-    stream = bytearray(compressor.compress(rows.tobytes()) + compressor.flush())
-    stream[0] = declared << 4 | 8
-    stream[1] = -(stream[0] << 8) % 31
-    assert_same_as_others(file_of([header(100, 40, 8, 2), (b"IDAT", bytes(stream)), (b"IEND", b"")]))
-
-
-@pytest.mark.parametrize("methods", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 64, 0), (0, 0, 2)])
-@pytest.mark.parametrize("colour_type", [0, 2, 3, 6])
-def test_other_methods_and_interlaced_pixels(methods, colour_type):
-    lines = bytes(4 * (1 + 8 * CHANNELS[colour_type]) * 3)
-    palette = [PALETTE] * (colour_type == 3)
-    start = [header(8, 4, 8, colour_type, methods), *palette]
-    assert_same_as_others(file_of([*start, (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]))
 
 
 @pytest.mark.parametrize("size", [(0, 1), (1, 0), (0, 0), (1 << 14, 1), (1, (1 << 14) + 1), (1 << 31, 1), (9999, 9999)])

@@ -12,14 +12,11 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from polars.testing import assert_frame_equal
-from scipy.spatial.transform import Rotation
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.formats import images
-from roadperc_stream.geometry import rigid
-from roadperc_stream.input.decoding.payload import pose_matrix
 from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.model import reason_of
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
@@ -169,37 +166,6 @@ def kept(path):
         for m in log.read(log.summarise(path))
         if "producer" not in dict(m.channel.metadata)
     ]
-
-
-IMU = "imu_link"
-EGO_T_IMU = rigid(Rotation.from_euler("zyx", (90, 3, -2), degrees=True).as_matrix(), np.array([-1.5, 0.3, 0.4]))
-
-
-def with_imu(path, messages, *, placed):
-    """A bag whose truth is the pose of an inertial unit; ``placed`` adds its transform to /tf."""
-    with path.open("wb") as stream:
-        made = rosbag.Bag(stream)
-        for message in messages:
-            name, content = in_ros(message, "bgr8")
-            if name == "nav_msgs/msg/Odometry":
-                pose = PoseInFrame.FromString(message.data).pose
-                odom_T_imu = pose_matrix(pose.position, pose.orientation) @ EGO_T_IMU
-                content["child_frame_id"], content["pose"]["pose"] = IMU, rosbag.pose(odom_T_imu)
-            elif name == "tf2_msgs/msg/TFMessage" and placed:
-                edge = {"header": content["transforms"][0]["header"] | {"frame_id": "ego_vehicle"}}
-                place = rosbag.pose(EGO_T_IMU)
-                edge["transform"] = {"translation": place["position"], "rotation": place["orientation"]}
-                content["transforms"].append(edge | {"child_frame_id": IMU})
-            topic = TOPICS[message.channel.topic]
-            made.write(topic if topic == "/tf" else f"/carla/ego_vehicle/{topic}", name, message.log_time_ns, content)
-        made.finish()
-    return path
-
-
-def test_the_true_pose_may_be_of_any_frame_of_the_vehicle(tmp_path, recorded, replayed):
-    found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=True))
-    assert not any("truth" in note for note in summary.notes)
-    assert_frame_equal(rows(found), rows(replayed[1]), abs_tol=1e-9, rel_tol=0)
 
 
 def test_every_message_of_a_bag_is_kept(replayed):

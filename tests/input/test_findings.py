@@ -1,6 +1,5 @@
 """Findings that the input alone shows, in a replay, in roadperc-info and in roadperc-convert."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 
 from roadperc_stream import replay
 from roadperc_stream.cli.convert import main as convert_main
-from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.cli.render import main as render_main
 from roadperc_stream.config import load_config
 from roadperc_stream.formats import images
@@ -130,15 +128,6 @@ def test_odd_tags_are_found(tmp_path, tags, code):
     assert found.keys() == ({code} if code else set())
     if code == "tags":
         assert all(word in found[code] for word in ("24", "50 %", TABLE.name, "tag_table"))
-
-
-def test_info_prints_findings_as_text_and_json(tmp_path, capsys):
-    source = log_with(tmp_path / "in.mcap", edges(("odom", "base_link")))
-    assert info_main([str(source)]) == 0
-    assert "no transform leads" in " ".join(capsys.readouterr().out.split())
-    assert info_main(["--json", str(source)]) == 0
-    (found,) = json.loads(capsys.readouterr().out)["replay"]["findings"]
-    assert found["code"] == "camera_transform"
 
 
 def test_the_sample_has_no_finding():

@@ -146,19 +146,3 @@ def test_a_camera_that_the_log_describes_as_the_front_one_is_replaced_too():
         "left_calibration": 150.0,
     }
     assert found["depth_calibration"].frame_id == "depth"
-
-
-def test_a_pair_is_replaced_as_the_file_says():
-    sensors = {"left": LogSensor("/l", "l", (320, 240)), "right": LogSensor("/r", "r", (320, 240))}
-    given = given_to(sensors, CalibrationConfig(fov_deg=90, baseline_m=0.12, **SIZE), "left")
-    assert given.cameras["right_calibration"].baseline_m == 0.12
-    assert {role: camera.frame_id for role, camera in given.cameras.items()} == {
-        "left_calibration": "l",
-        "right_calibration": "r",
-    }
-
-
-def test_options_replace_the_cameras_and_the_mountings_of_a_record_apart():
-    recorded = CalibrationConfig(K=((1, 0, 2), (0, 1, 2), (0, 0, 1)), rgb_height_m=1.2)
-    assert CalibrationConfig(fov_deg=60).over(recorded) == CalibrationConfig(fov_deg=60, rgb_height_m=1.2)
-    assert CalibrationConfig(rgb_height_m=2).over(recorded) == recorded.model_copy(update={"rgb_height_m": 2.0})

@@ -1,11 +1,10 @@
 """Regions divided at depth jumps: a known answer, and the same bits by both forms."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.kernels.forms import SEEDS, assert_same_bits, both, forms
+from tests.kernels.forms import SEEDS, assert_same_bits, both
 
 JUMPS = np.array((0.02, 0.04, 0.08), np.float32)
 
@@ -26,9 +25,3 @@ def test_both_forms_divide_alike(seed, height, width, share, ways):
     of_class = (rng.random((height, width)) < share).astype(np.uint8)
     depths = np.append(np.arange(0.0, 0.2, 0.013), np.nan).astype(np.float32)
     assert_same_bits("objects", "divided", rng.choice(depths, (height, width)), of_class, JUMPS[:ways])
-
-
-@pytest.mark.parametrize(("depths", "pixels", "jumps"), [((2, 3), (3, 2), 3), ((0, 3), (0, 3), 3), ((2, 3), (2, 3), 0)])
-def test_sizes_that_do_not_fit_are_refused(depths, pixels, jumps):
-    with pytest.raises(ValueError, match=f"{jumps} jumps"):
-        forms("objects")[1].divided(np.zeros(depths, np.float32), np.zeros(pixels, np.uint8), JUMPS[:jumps])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.kernels.occupancy_plain import Cells, KnownPixels, Rays
-from tests.kernels.forms import SEEDS, assert_same_bits, both, forms, wild
+from tests.kernels.forms import SEEDS, assert_same_bits, both, wild
 
 CELLS = Cells(0.0, -2.0, 0.5, 0.25, 2.0)
 LEVEL = np.zeros(3, np.float32)
@@ -71,19 +71,3 @@ def test_both_forms_count_alike(seed, height, width, is_plane):
     assert_same_bits(
         "occupancy", "count_points", CELLS, pixels, rays, rng.uniform(-1, 1, 3).astype(np.float32), *counts
     )
-
-
-def test_counts_refuse_other_sizes():
-    depth, rays = one_row((0.0, 1.0, 2.0), (0.0, 1.0, 2.0))
-    marks, compiled = np.zeros((1, 3), np.uint8), forms("occupancy")[1]
-    for depths, *others in (
-        (depth, None, marks, marks[:, :2]),
-        (depth, None, marks[:, :2], marks),
-        (depth, depth[:, 1:], marks, marks),
-        (depth[:, 1:], None, marks[:, 1:], marks[:, 1:]),
-    ):
-        with pytest.raises(ValueError, match="of the same size"):
-            counted(compiled, depths, rays, LEVEL, *others)
-    counts = np.zeros((2, 2), np.int64), np.zeros((2, 3), np.int64)
-    with pytest.raises(ValueError, match="counts of"):
-        compiled.count_points(CELLS, KnownPixels(depth, None, marks, marks, OBSTACLE_TAGS), rays, LEVEL, *counts)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.kernels.lanes_plain import Following, Points, Weighing
-from tests.kernels.forms import SEEDS, assert_same_bits, both, forms
+from tests.kernels.forms import SEEDS, assert_same_bits, both
 
 STATE = (1.7, 0.02, 1 / 150)
 
@@ -75,10 +75,3 @@ def test_both_forms_give_the_same_bits(seed, count, noise_m, innermost, inward):
     x, y, std, rows = drawn(noise_m=noise_m, seed=seed, count=count)
     y = np.where(np.random.default_rng(seed).random(count) < 0.1, np.round(y, 1), y)
     assert_same_bits("lanes", "follow", *asked(x, y, std, rows, inward, innermost))
-
-
-def test_arrays_of_other_lengths_and_types_are_refused():
-    x, y, std, rows = drawn()
-    for wrong in ((x, y[1:], std, rows), (x.astype(np.float32), y, std, rows), (x, y, std, rows.astype(np.float64))):
-        with pytest.raises((ValueError, TypeError)):
-            forms("lanes")[1].follow(*asked(*wrong))

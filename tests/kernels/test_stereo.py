@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.kernels.stereo_plain import DisparityLimits
-from tests.kernels.forms import SEEDS, SHAPES, assert_same_bits, both, forms, wild
+from tests.kernels.forms import SEEDS, SHAPES, assert_same_bits, both, wild
 
 
 def ramp(offset):
@@ -86,14 +86,3 @@ def test_doubled_seen_and_wrong_disparities_have_the_same_bits(seed, shape, max_
     assert_same_bits("stereo", "seen_by_both", views[1], bad_px)
     limits = DisparityLimits(50.0, max_depth_m, bad_px, bad_share)
     assert_same_bits("stereo", "disparity_errors", *views[2:], rng.random(shape) < 0.7, limits)
-
-
-def test_other_sizes_are_refused():
-    kernel, image, disparities, depth_m = forms("stereo")[1], ramp(0), np.zeros((12, 24), np.int16), np.ones((8, 20))
-    with pytest.raises(ValueError, match="expected one size"):
-        kernel.disparity_errors(depth_m, depth_m[1:], depth_m > 0, DisparityLimits(50.0, 60.0, 3.0, 0.05))
-    for pair in ((image[1:], image), (image, image[:, 1:])):
-        with pytest.raises(ValueError, match="expected one size"):
-            kernel.refined_disparities(disparities, *pair, 3)
-    with pytest.raises(ValueError, match="expected an odd number"):
-        kernel.refined_disparities(disparities, image, image, 4)

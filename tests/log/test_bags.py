@@ -1,6 +1,5 @@
 """ROS bags are read as the MCAP log with the same messages."""
 
-import re
 import sqlite3
 
 import pytest
@@ -205,17 +204,3 @@ def test_an_unreadable_bag_is_named_with_a_command(tmp_path, content, fault):
     path = tmp_path / "a b"
     path.write_bytes(content)
     assert refused(path).startswith(f"{path}: {fault}'{path}'")
-
-
-@pytest.mark.parametrize("storage", [SQLITE, MCAP], ids=["db3", "mcap"])
-def test_a_compressed_file_without_metadata_is_read_and_named(tmp_path, single, messages, storage):
-    folder = bag(tmp_path / "bag", messages, storage, "FILE")
-    (folder / "metadata.yaml").unlink()
-    (file,) = folder.iterdir()
-    assert file.suffix == ".zstd"
-    assert contents(file) == contents(single)
-    with pytest.raises(LogError, match=f"such as {re.escape(str(file))}"):
-        log.summarise(folder)
-    if storage == MCAP:
-        with pytest.raises(LogError, match=f"zstd -d {re.escape(str(file))}"):
-            log.summarise(file)

@@ -140,15 +140,6 @@ def test_tags_are_numbers_of_a_table_or_its_colours():
     assert [before.table.name_of(tag) for tag in before.tags[0]] == ["road", "vehicle", "road_line"]
 
 
-@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
-def test_tags_of_16_bits_are_the_numbers_themselves(encoding):
-    tags = np.array([[0, 1, 24]], "<u2")
-    found = read("tags", ros2.IMAGE, image(encoding, tags), table=CARLA_FROM_0_9_14).payload.tags
-    assert (found.dtype, found.tolist()) == (np.uint8, tags.tolist())
-    with pytest.raises(DecodeError, match=r"6144.*0 to 255"):
-        _ = read("tags", ros2.IMAGE, image(encoding, tags * 256), table=CARLA_FROM_0_9_14).payload.tags
-
-
 def test_instance_masks_are_numbers_in_green_and_blue():
     pixels = np.array([[(2, 1, 14, 255), (0, 7, 12, 255)]], np.uint8)
     found = read("instances", ros2.IMAGE, image("bgra8", pixels)).payload
@@ -302,14 +293,6 @@ def test_detections_of_humble():
     assert (first.label, first.score, first.id) == ("car", 0.5, "7")
     assert first.box_px == box("", 10, 20, 50, 40).box_px
     assert (second.label, second.score) == ("", 0.0)
-
-
-def test_a_rotated_box_becomes_the_box_around_it():
-    car = rosbag.detection(box("", 10, 20, 50, 40).box_px, "car", 0.5)
-    car["bbox"]["center"]["theta"] = math.pi / 2
-    (found,) = read("detections", rosbag.DETECTIONS, detections(car)).payload
-    sides = (found.box_px.x_min, found.box_px.y_min, found.box_px.x_max, found.box_px.y_max)
-    assert sides == pytest.approx((20, 10, 40, 50))
 
 
 def test_detections_of_foxy_are_read_by_the_layout_in_the_log():

@@ -30,18 +30,6 @@ def test_merge_joins_lines_with_similar_slope_and_intercept():
     ]
 
 
-@pytest.mark.parametrize(
-    ("proposals", "rows", "groups"),
-    [
-        pytest.param([line(-1.0, 1000), line(-1.09, 1000), line(-1.18, 1000)], 960, 2, id="far from the first line"),
-        pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 960, 1, id="30 of 960 rows apart"),
-        pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 480, 2, id="30 of 480 rows apart"),
-    ],
-)
-def test_lines_near_the_first_line_of_a_group_are_merged(proposals, rows, groups):
-    assert len(lines.merge(np.array(proposals), rows)) == groups
-
-
 def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     road = np.zeros((960, 1280), bool)
     road[500:, 300:900] = True

@@ -61,13 +61,6 @@ def test_standard_deviations_grow_with_the_square_of_the_distance():
         assert item.distance_std_m == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("source", ["assumed", "held"])
-def test_a_plane_that_is_not_estimated_has_a_larger_deviation(source):
-    surface = replace(LEVEL, source=source)
-    assert ground_of(surface, radians(0.2), mounted=True).pitch_std >= radians(0.3)
-    assert ground_of(surface, 0.0, mounted=False).height_std == pytest.approx(0.1)
-
-
 @pytest.mark.parametrize(
     "box",
     [
@@ -130,9 +123,3 @@ def test_a_car_at_a_constant_distance_or_beside_the_path_has_no_time_to_impact()
     beside = drive(10.0, left_m=4.0)[0][-1]
     assert (beside.in_path, beside.time_to_impact_s) == (False, None)
     assert beside.lateral_m == pytest.approx(4.0, abs=1.2)
-
-
-def test_a_box_that_a_nearer_one_touches_is_whole_but_not_clear():
-    objects = [Object(d, kept=True) for d in (back(20.0), back(15.0, left_m=1.3), back(20.0, left_m=-6.0))]
-    found = contacts(ROAD.camera, GROUND, objects)
-    assert {k: at.clear for k, at in found.items()} == {0: False, 1: True, 2: True}

@@ -121,15 +121,6 @@ def test_isolated_pixels_and_pairs_belong_to_no_region():
     assert mosaic.of_class.max() == 1
 
 
-@pytest.mark.parametrize(
-    "box", [Box(300, 10, 320, 30), Box(50, 50, 50, 50), Box(-40, -40, -20, -20), Box(-1e308, 5, -9e307, 9)]
-)
-def test_boxes_without_pixels_have_no_regions(box):
-    assert regions_of(box, NEAR)[0] == ()
-    assert regions_of(box) == [()]
-    assert regions_of() == []
-
-
 def test_unknown_depth_does_not_divide_or_measure():
     tags, depth = rows_of_cars()
     (region,) = regions_of(NEAR, tags=tags, depth=np.full_like(depth, np.nan))[0][:1]
@@ -191,12 +182,6 @@ def box_of(*groups):
 
 def test_a_nearer_car_in_a_corner_of_the_box_is_another_object():
     assert own_distances(box_of(WHOLE, CORNER)).min() == pytest.approx(12.6)
-
-
-def test_points_without_gaps_are_one_object():
-    assert len(own_distances(box_of(WHOLE))) == np.isfinite(box_of(WHOLE)).sum()
-    long = [(10.0 * 1.05**k, range(3, 28, 6), range(6 * k, 6 * k + 6, 2)) for k in range(10)]
-    assert own_distances(box_of(*long)).min() == pytest.approx(10.0)
 
 
 def test_two_points_are_an_object_only_without_others():

@@ -143,17 +143,6 @@ def test_the_scale_is_right_before_a_stop_and_after_it(depth):
     assert abs(results[-1].odom_T_ego[0, 3] - at_m[-1]) < 0.03 * at_m[-1]
 
 
-def test_a_step_of_unknown_length_has_no_pose_until_the_road_shows_lengths_again():
-    plain = [Shot(np.where(np.arange(480)[:, None] < 240, s.grey, np.uint8(90)), s.depth_m) for s in photographed()[:3]]
-    _, results = run([*plain, *photographed()[3:]], depth=False, road=ROAD)
-    unknown = [out for out in results if not out.has_pose]
-    assert unknown == results[1:4]
-    assert {str(out.reason) for out in unknown} == {str(Reason("odometry", "scale_unknown"))}
-    assert all(out.covariance for out in unknown)  # that of the turn is known
-    driven_m = distances_m(poses(results[3:]))[-1]
-    assert driven_m == pytest.approx(distances_m(np.array(POSES[3:]))[-1], rel=0.02)
-
-
 def test_without_depth_the_shape_of_the_path_is_right():
     _, results = run(photographed(), depth=False)
     assert statuses(results) == ["first"] + ["tracked"] * 11
@@ -180,14 +169,6 @@ def test_the_scale_is_kept_while_depth_is_missing():
     assert statuses(results) == ["first"] + ["tracked"] * 11
     assert not any(out.up_to_scale for out in results)
     assert np.linalg.norm((inverse(POSES[-1]) @ results[-1].odom_T_ego)[:3, 3]) < 0.1
-
-
-def test_features_on_movable_objects_are_not_used():
-    movable = np.zeros(CAMERA.size, bool)
-    movable[:, 320:] = True
-    states, results = run(photographed()[:3], movable=movable)
-    assert states[0].keyframe.landmarks.features.px[:, 0].max() < 160
-    assert statuses(results) == ["first", "tracked", "tracked"]
 
 
 def test_no_image_is_absent_and_a_blank_image_is_skipped():
