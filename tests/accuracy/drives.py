@@ -89,7 +89,7 @@ def make_logs(cache, of, seed, noises):
     wanted = {kind: target for kind, target in targets.items() if not target.exists()}
     clean = cache / f"{of.name}-{seed}-dump"
     if wanted:
-        render_dump(clean, replace(of.options, seed=seed), force=True, on_frame=lambda: None)
+        render_dump(clean, replace(of.options, seed=seed), force=True)
         if of.pitch_is_unknown:
             hide_pitch(clean, of.options.mount)
     for kind, target in wanted.items():

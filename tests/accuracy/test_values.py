@@ -143,9 +143,9 @@ def test_uncertainty_equals_that_of_the_report(tmp_path):
 
 def test_added_noise_equals_rendered_noise(tmp_path):
     options = drive("straight", scene="straight", width=160, height=120, seconds=0.2).options
-    render_dump(tmp_path / "clean", replace(options, seed=3), force=False, on_frame=lambda: None)
+    render_dump(tmp_path / "clean", replace(options, seed=3), force=False)
     noisy = replace(options, seed=3, tag_noise=0.05, depth_noise=0.02)
-    render_dump(tmp_path / "rendered", noisy, force=False, on_frame=lambda: None)
+    render_dump(tmp_path / "rendered", noisy, force=False)
     with_noise(tmp_path / "clean", tmp_path / "made", 3, Noise(0.05, 0.02))
     rendered, made = (
         {str(path.relative_to(tmp_path / name)): path for path in (tmp_path / name).rglob("*") if path.is_file()}

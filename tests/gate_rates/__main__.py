@@ -33,9 +33,8 @@ def measure(arguments):
     folder = arguments.folder
     folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
-        logs = arguments.logs or list(pool.map(partial(render, folder), range(len(SCENES))))
-        seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-        runs = list(pool.map(partial(replayed, folder, logs), seeds))
+        logs = list(pool.map(partial(render, folder), range(len(SCENES))))
+        runs = list(pool.map(partial(replayed, folder, logs), range(arguments.seeds)))
         every = trials(runs)
         results = list(pool.map(alarms, every, chunksize=4))
     rates = []
@@ -57,10 +56,8 @@ def main():
     """Run the command; return the exit code: 1 if a rate is not as required."""
     parser = argparse.ArgumentParser("python -m tests.gate_rates", description=__doc__)
     parser.add_argument("folder", type=Path, help="for logs and tables, which are kept")
-    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--logs", type=Path, nargs="*", help="use these instead of rendered logs")
     parser.add_argument("--page", type=Path, help="page whose table is replaced")
     return 0 if measure(parser.parse_args()) else 1
 

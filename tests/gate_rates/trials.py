@@ -41,7 +41,7 @@ def render(folder, number):
         options = RenderOptions(
             width=320, height=240, scene=SCENES[number], seed=51 + number, seconds=5.0, tag_noise=0.02, depth_noise=0.01
         )
-        render_dump(dump, options, force=True, on_frame=lambda: None)
+        render_dump(dump, options, force=True)
         _require(convert.main([str(dump), str(log), "--quiet"]), log)
         shutil.rmtree(dump)
     return log

@@ -41,7 +41,9 @@ def render_and_report(folder: Path, options: RenderOptions, *, force: bool) -> N
     print_line(f"{options.frames} frames of {size} in {seconds:.1f} s ({rate:.1f} frames/s): {folder}")
 
 
-def render_dump(folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None]) -> None:
+def render_dump(
+    folder: Path, options: RenderOptions, *, force: bool, on_frame: Callable[[], None] = lambda: None
+) -> None:
     """Render a scenario into a folder; call ``on_frame`` after each frame.
 
     The folder appears when the dump is complete. With ``force`` it replaces an earlier dump.
