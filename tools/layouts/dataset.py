@@ -123,7 +123,7 @@ class Layout:
     read: Callable[[Request], DatasetSequence]
     """Reads documents and the headers of files. Images, depths, masks and points are read while the log is written.
 
-    Raises a ``DumpError`` that names file and line if the folder cannot be converted."""
+    A folder that cannot be converted raises a ``DumpError`` with file and line."""
     options: tuple[str, ...]
     """The options that it takes beside ``--layout``."""
     sequences: Callable[[Path], Mapping[str, Path]] | None = None

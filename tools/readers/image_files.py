@@ -35,7 +35,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def first_bytes(path: Path, count: int) -> bytes:
-    """Return the begin of a frame's file."""
+    """Return the first bytes of a frame's file."""
     try:
         with open_file(path) as stream:
             return stream.read(count)
