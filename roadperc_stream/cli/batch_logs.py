@@ -32,6 +32,7 @@ _RAY = {
     # Otherwise Ray sends the working folder, logs included, to the machines and runs uv there.
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
     "RAY_gcs_server_request_timeout_seconds": "20",
+    "RAY_CLIENT_INITIAL_CONNECTION_TIMEOUT_S": "30",  # the default of 5 s is too short for a busy head
     "RAY_USAGE_STATS_ENABLED": "0",
 }
 """Environment variables for Ray, unless the user sets them; Ray reads them when it is imported."""

@@ -98,7 +98,7 @@ def test_a_local_ray_gives_the_rows_of_single_replays_and_ends_with_the_batch(fo
     codes = {None: 0, signal.SIGINT: 1, signal.SIGKILL: -signal.SIGKILL}
     printed = f"error: {INTERRUPTED}\n" if sent == signal.SIGINT else ""
     assert (process.returncode, errors) == (codes[sent], printed)
-    _, left = psutil.wait_procs(family, timeout=20)
+    _, left = psutil.wait_procs(family, timeout=90)
     assert [title(p) for p in left] == []
     for source in () if sent else sorted(folder.glob("*.mcap")):
         assert_as_single(tmp_path / "out", source, tmp_path)
