@@ -190,8 +190,11 @@ def test_a_layout_shows_only_topics_with_messages(replayed, name):
     check(layout, topics)
     assert {topic for topic in topics if topic.startswith("/perception/")} <= topics_shown(layout)
     assert ("/perception/overlay" in topics_shown(layout)) is (name == "full")
-    under = layout["configById"]["Image!front"]["imageMode"]["imageTopic"]
-    assert under == ("/perception/drivable" if name == "results" else "/camera/front/image")
+    front, drawn = layout["configById"]["Image!front"], "" if name == "in" else ": lanes and objects"
+    topic, title = (
+        ("/perception/drivable", "Drivable") if name == "results" else ("/camera/front/image", "Front camera")
+    )
+    assert (front["imageMode"]["imageTopic"], front["foxglovePanelTitle"]) == (topic, title + drawn)
 
 
 def test_metrics_without_a_value_are_not_plotted(replayed):
