@@ -11,10 +11,9 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 from roadperc_stream.system.text import nearest
 
-from .dataset.keys import LOG, config_named, log_names, settings_by_config
+from .dataset.keys import LOG, LogKey, config_named, log_names, settings_by_config
 from .dataset.pairs import in_a_folder, runs_of_logs
 from .dataset.place import DONE, Dataset, dataset_at, read_runs
-from .dataset.worst import LogKey
 from .report_columns import listed
 from .runs import Run, collect, find_runs
 from .scan import rows_of

@@ -104,6 +104,8 @@ CATEGORIES: Final = (
     *(f"lane_{side}_{what}" for side in SIDES for what in ("status", "boundary_class")),
     "odometry_status",
 )
+STATES: Final = ("surface_source", "lane_left_status", "lane_right_status", "odometry_status")
+"""Whether a frame measured an output."""
 CONFUSED: Final = {
     f"lane {side} classes": (f"lane_{side}_true_boundary_class", f"lane_{side}_boundary_class") for side in SIDES
 }

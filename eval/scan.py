@@ -4,14 +4,12 @@ A table starts a new segment where its stamps step back: at another recording, o
 difference, gap or motion is measured across segments. Time continues from one segment to the next without a gap.
 """
 
-import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 import polars as pl
 
-from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.time import NS_PER_S
 
 from .report_columns import (
@@ -27,7 +25,6 @@ from .report_columns import (
     TOTAL,
     TRACED,
     UNMEASURED,
-    Quantity,
 )
 from .runs import Run, written_columns
 
@@ -49,7 +46,7 @@ def scan(run: Run) -> pl.LazyFrame:
 def scanned(rows: pl.LazyFrame) -> pl.LazyFrame:
     """The columns of a report, a row per frame; then the derived columns."""
     stored = rows.select(stored_columns()).with_columns(finite(NUMBER_COLUMNS))
-    return stored.with_columns(since_start_s(), *derived_columns())
+    return stored.with_columns(since_start_s(), *row_columns(), *neighbour_columns())
 
 
 def rows_of(run: Run) -> pl.LazyFrame:
@@ -123,8 +120,8 @@ def _span_ns() -> pl.Expr:
     return (_STAMP_NS.max() - _STAMP_NS.min()).over(SEGMENT)
 
 
-def derived_columns() -> list[pl.Expr]:
-    """Time outside the stages, number of lost lane boundaries (null if 0), second differences of lane offsets."""
+def row_columns() -> list[pl.Expr]:
+    """Columns derived within a row: time outside the stages, lost boundaries (null if 0), measured outputs."""
     stages = [quantity.column for quantity in STAGE_TIMES if quantity not in {TOTAL, REST}]
     lost = pl.sum_horizontal((pl.col(f"lane_{side}_status") == "lost").cast(pl.Float64) for side in SIDES)
     return [
@@ -134,9 +131,13 @@ def derived_columns() -> list[pl.Expr]:
             pl.when(~pl.col(status).fill_null("").is_in(UNMEASURED)).then(pl.col(column)).alias(name)
             for name, (column, status) in MEASURED.items()
         ),
-        (pl.col("step_m") * NS_PER_S / difference(_STAMP_NS)).alias(SPEED.column),
-        *(column for side in SIDES for column in _second_differences(side)),
     ]
+
+
+def neighbour_columns() -> list[pl.Expr]:
+    """Columns derived from neighbouring rows: the speed, and the second differences of the lane offsets."""
+    speed = pl.col("step_m") * NS_PER_S / difference(_STAMP_NS)
+    return [speed.alias(SPEED.column), *(column for side in SIDES for column in _second_differences(side))]
 
 
 def _second_differences(side: str) -> list[pl.Expr]:
@@ -153,27 +154,3 @@ def _second_differences(side: str) -> list[pl.Expr]:
         pl.when(known).then(change).alias(name.replace("offset", "second_difference"))
         for name, change in zip(names, differences, strict=True)
     ]
-
-
-def extent() -> list[pl.Expr]:
-    """Logs, number and span of segments, and the longest gap, which is null if no segment has two frames."""
-    return [
-        pl.col("log_id").unique(maintain_order=True).implode().alias("log_ids"),
-        pl.col(SEGMENT).n_unique().alias("segments"),
-        (_spans_ns().sum() / NS_PER_S).alias("span_s"),
-        (difference(_STAMP_NS).max() / NS_PER_S).alias("longest_gap_s"),
-    ]
-
-
-def worst_frames(quantity: Quantity, number: int) -> pl.Expr:
-    """The worst frames by a quantity as a list of structs, the worst first, then the earliest.
-
-    Frames with the best possible value are left out.
-    """
-    value = pl.col(quantity.column)
-    high = quantity.better == "high"
-    badness = -quantity.judged if high else quantity.judged
-    flawed = badness > ((-1 if quantity.unit == RATIO else -math.inf) if high else 0)
-    row = pl.struct("frame", SEGMENT, "since_start_s", "stamp_ns", value=value).filter(flawed)
-    order = [badness.filter(flawed), pl.col(SEGMENT).filter(flawed), pl.col("stamp_ns").filter(flawed)]
-    return row.sort_by(order, descending=[True, False, False]).head(number).implode().alias(f"worst {quantity.column}")

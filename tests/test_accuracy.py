@@ -12,7 +12,7 @@ import pytest
 
 from roadperc_stream.cli import convert, render
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.eval.lag import correlations, lag_frames
+from roadperc_stream.eval.report.lag import correlations, lag_frames
 from roadperc_stream.output.tables import sidecar_path
 
 pytestmark = pytest.mark.long

@@ -1,71 +1,26 @@
-"""The columns that group a dataset's frames, and the names of groups, logs and configurations."""
+"""The names of a dataset's logs and configurations."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePosixPath
-from typing import Any, Final
+from typing import Final
 
 import polars as pl
 
-from roadperc_stream.batch.addresses import natural
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
 
 from ..configurations import Settings
-from ..expressions import roots, unknown
 from ..options import number_or_text
-from .place import DATE, RUN_COLUMNS
 
 LOG: Final = ("log_id", "config")
 """Columns that identify a run of a dataset."""
-_OF_THE_FILE: Final = (*LOG, DATE)
-UNKNOWN_GROUP: Final = "none"
-Key = tuple[str | None, ...]
-"""The values of a group's columns."""
+LogKey = tuple[str, str]
+"""Log and configuration."""
 _DIGITS: Final = 8
 """Digits of a log's digest that distinguish logs of equal names."""
 DEFAULT: str = "default"
 _OPTIONS: Final = ("--base-config", "--new-config")
-
-
-@dataclass(frozen=True)
-class Grouping:
-    """The columns and expressions that group the rows, and their origin.
-
-    ``of_runs`` come from the list of runs, ``of_rows`` may change from frame to frame; the others belong to a file.
-    """
-
-    columns: tuple[str, ...]
-    of_runs: tuple[str, ...]
-    of_rows: tuple[str, ...]
-
-    @property
-    def as_options(self) -> tuple[str, ...]:
-        """The names of the columns in ``--by``."""
-        return tuple("log" if name == "log_id" else name for name in self.columns)
-
-    @property
-    def of_whole_logs(self) -> bool:
-        """Whether all frames of a log under a configuration are in one group."""
-        return not self.of_rows
-
-
-def grouping(by: Sequence[str], table_columns: Collection[str]) -> Grouping:
-    """The grouping by the columns of ``--by``; ``log`` means the column ``log_id``.
-
-    Raises:
-        TableError: a column does not exist.
-    """
-    names = tuple(dict.fromkeys("log_id" if name == "log" else name for name in by))
-    tables, lists = {*_OF_THE_FILE, *table_columns}, set(RUN_COLUMNS)
-    of_rows = tuple(name for name in names if name not in _OF_THE_FILE and tables.issuperset(roots(name)))
-    of_runs = tuple(name for name in names if not tables.issuperset(roots(name)) and lists.issuperset(roots(name)))
-    for name in names:
-        if name not in (*_OF_THE_FILE, *of_rows, *of_runs):
-            lacking = next(root for root in roots(name) if root not in tables)
-            raise unknown(name, lacking, tables | lists, "the metrics tables or of runs.parquet")
-    return Grouping(names, of_runs, of_rows)
 
 
 def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:
@@ -78,32 +33,6 @@ def log_names(log_ids: Iterable[str], runs: pl.DataFrame) -> dict[str, str]:
     stems = {log_id: PurePosixPath(paths[log_id]).stem if log_id in paths else log_id for log_id in log_ids}
     shared = Counter(stems.values())
     return {log_id: stem if shared[stem] == 1 else f"{stem} {log_id[:_DIGITS]}" for log_id, stem in stems.items()}
-
-
-def group_name(key: Key, columns: Sequence[str], logs: Mapping[str, str]) -> str:
-    """The values of a group's key, with names of logs."""
-    values = zip(columns, key, strict=True)
-    texts = (logs.get(value or "", value) if column == "log_id" else value for column, value in values)
-    return ", ".join(UNKNOWN_GROUP if text is None else " ".join(text.split()) for text in texts) or "all"
-
-
-def in_order(keys: Iterable[Key], columns: Sequence[str], configs: Sequence[str], logs: Mapping[str, str]) -> list[Key]:
-    """Keys of groups, sorted: numbers by size, texts alphabetically, configurations by age, unknown values last.
-
-    Keys are values of ``columns``; ``configs`` are in the order of ``in_order_of_runs``, ``logs`` are names of logs.
-    """
-    return sorted(keys, key=lambda key: [_place(*item, configs, logs) for item in zip(columns, key, strict=True)])
-
-
-def _place(column: str, value: str | None, configs: Sequence[str], logs: Mapping[str, str]) -> tuple[bool, float, Any]:
-    if value is None:
-        return (True, 0.0, "")
-    if column == "log_id":
-        return (False, 0.0, natural(logs.get(value, value)))
-    if column == "config":
-        return (False, float(configs.index(value)) if value in configs else float("inf"), value)
-    typed = number_or_text(value)
-    return (False, typed if isinstance(typed, float) else float("inf"), value)
 
 
 def settings_by_config(runs: pl.DataFrame, configs: Sequence[str]) -> dict[str, Settings | None]:

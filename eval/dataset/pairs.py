@@ -16,10 +16,9 @@ from roadperc_stream.system.files import TABLE_SUFFIX, scratch_folder
 
 from ..configurations import Settings
 from ..runs import Run, open_run
-from .keys import LOG, config_named, in_order_of_runs, log_names, settings_by_config, two_configs
+from .keys import LOG, LogKey, config_named, in_order_of_runs, log_names, settings_by_config, two_configs
 from .place import FILE, NO_TABLES, RUNS, Dataset, metrics_files, read_runs, without_file
 from .reading import metrics_tables, reading_files, require_named
-from .worst import LogKey
 
 _AT_ONCE: Final = 16
 """Files fetched at the same time; files are small, so most of the time is latency."""

@@ -38,6 +38,11 @@ class Dataset:
     copy_of: str = ""
 
     @property
+    def name(self) -> str:
+        """The address that the user named."""
+        return self.copy_of or self.address
+
+    @property
     def folder(self) -> Path | None:
         """The local folder; None at an address."""
         return None if is_address(self.address) else Path(self.address)
@@ -72,6 +77,11 @@ def metrics_files(dataset: Dataset) -> list[str]:
     return dataset.tables("metrics", f"{_PARTITION}*", f"*{TABLE_SUFFIX}")
 
 
+def object_files(dataset: Dataset) -> list[str]:
+    """The files of the tables of objects."""
+    return dataset.tables("objects", f"{_PARTITION}*", f"*{TABLE_SUFFIX}")
+
+
 def scan_tables(files: Sequence[str], columns: Collection[str] | None = None) -> pl.LazyFrame:
     """All rows of metrics tables with their ``FILE``; columns that a table lacks are null in its rows.
 
@@ -104,15 +114,15 @@ def scan_tables(files: Sequence[str], columns: Collection[str] | None = None) ->
     )
 
 
-def scan_objects(dataset: Dataset, runs: pl.DataFrame) -> pl.LazyFrame:
-    """All rows of the dataset's tables of objects; ``log`` is the name of the log's file, or its digest.
+def scan_objects(dataset: Dataset, runs: pl.DataFrame) -> pl.LazyFrame | None:
+    """All rows of the dataset's tables of objects, None without tables; ``log`` is the name of the log's file.
 
     Raises:
-        TableError: there are no tables of objects, or one cannot be read.
+        TableError: a table cannot be read.
     """
-    files = dataset.tables("objects", f"{_PARTITION}*", f"*{TABLE_SUFFIX}")
+    files = object_files(dataset)
     if not files:
-        raise TableError(f"{dataset.address}: no tables in objects/date=.../; expected tables of objects")
+        return None
     known = runs.filter(pl.col("log_id").is_not_null()).unique("log_id", keep="last")
     stem = pl.col("path").str.extract(r"([^/]*?)(?:\.[^./]*)?$")
     return scan_tables(files).join(known.lazy().select("log_id", stem.alias("log")), on="log_id", how="left")

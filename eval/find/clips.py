@@ -19,7 +19,7 @@ from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
 from roadperc_stream.view.frame_times import frame_times
 
-from ..dataset.worst import LogKey
+from ..dataset.keys import LogKey
 from ..replaying import AFTER_S, BEFORE_S, Part, kept_log, recorded_config, replayed
 from ..runs import Run
 from .events import Clips, Event

@@ -15,11 +15,10 @@ from roadperc_stream.output.terminal import console_for, print_lines
 from roadperc_stream.system.text import number, shown
 
 from ..continued import find_joined
-from ..dataset.keys import LOG, log_names
+from ..dataset.keys import LOG, LogKey, log_names
 from ..dataset.pairs import in_a_folder
 from ..dataset.place import DONE, NO_TABLES, Dataset, dataset_at, metrics_files, read_runs, scan_tables, without_file
 from ..dataset.reading import metrics_tables
-from ..dataset.worst import LogKey
 from ..frame_commands import view_command, view_dataset_command
 from ..frames import runs_of_keys
 from ..results import require_result, write_json

@@ -1,24 +1,29 @@
 """The page over a batch's dataset, with pages of its failed and its worst logs in a folder beside it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import polars as pl
 
 from roadperc_stream.output.text_table import Table
-from roadperc_stream.system.files import completing, require_suffix
+from roadperc_stream.system.files import require_suffix
 from roadperc_stream.system.text import number
 
 from ..compare.verdicts import Mark
-from ..dataset.pairs import in_a_folder, runs_of_logs
+from ..dataset.keys import LOG, LogKey
+from ..dataset.pairs import runs_of_logs
 from ..dataset.place import DONE, Dataset
-from ..dataset.summed import SummedDataset
-from ..dataset.worst import LogKey, key_of, worst_logs
 from ..findings import findings_of_dataset, report_lines
+from ..report.dataset_lines import settings_of_dataset
+from ..report.grouping import configuration_columns, grouped_frames
+from ..report.sources import Source, load
 from ..report.stages import stages_of
+from ..report.summaries import summarise
+from ..report.worst_logs import WorstLogs
 from ..report_columns import Quantity
-from .page import Links, render, write_page
+from .page import render, save, write_page
 from .pictures import shown
 from .verdict import single_sentence, size
 
@@ -31,68 +36,69 @@ _FACTS: Final = (
 """Columns of the list of runs on the page of a failed log."""
 
 
-BadLogs = dict[LogKey, tuple[Quantity, float, float]]
-"""By log: the quantity with the worst mean, the mean, and its size as a multiple of the relevant effect."""
+@dataclass(frozen=True)
+class BadLog:
+    """A log under a configuration, a mean of its errors, and the mean's size as a multiple of the relevant effect."""
+
+    name: str
+    key: LogKey
+    quantity: Quantity
+    mean: float
+    size: float
 
 
-def write_dataset_page(target: Path, dataset: Dataset) -> None:
+def write_dataset_page(target: Path, dataset: Dataset, source: Source, runs: pl.DataFrame) -> None:
     """Write the page to a ``.html`` or ``.htm`` file, and the pages of logs to the folder ``NAME_logs``.
+
+    The dataset is in a local folder; ``source`` are its frames and ``runs`` its list of runs.
 
     Raises:
         TableError: a table cannot be read.
         TargetError: a page cannot be written, or has another suffix.
-        StorageError: the store cannot be read.
     """
     require_suffix(target, ".html", ".htm")
-    with in_a_folder(dataset) as local:
-        _write(target, local, dataset.address)
-
-
-def _write(target: Path, local: Dataset, address: str) -> None:
-    found = SummedDataset(local, ())
-    runs, names, summaries = found.runs, found.names, found.summaries
+    frames = load(source)
+    logs = WorstLogs(frames, PAGES)
+    (summaries,) = summarise(frames, [grouped_frames(frames, configuration_columns(frames))], also=logs.add)
     failed = runs.filter(pl.col("status") != DONE).sort("status", "path", "config")
-    worst = worst_of(found.logs, PAGES)
     folder = target.with_name(f"{target.stem}_logs")
     folder.mkdir(parents=True, exist_ok=True)
-    several = len({*runs["config"], *found.configs}) > 1
+    several = len({*runs["config"], *frames.runs["config"]}) > 1
     failed_links = _write_failed(folder, failed.head(PAGES), several)
+    worst = worst_of(logs, several)
+    drawn = worst[: PAGES - len(failed_links)]
+    found = runs_of_logs(dataset, [log.key for log in drawn], {log.key[0]: log.name for log in drawn})
     links = {}
-    for place, (key, run) in enumerate(runs_of_logs(local, list(worst)[: PAGES - len(failed_links)], names).items(), 1):
-        write_page(folder / f"worst_{place}.html", [run])
-        links[_name(names[key[0]], key[1], several)] = f"{folder.name}/worst_{place}.html"
+    for place, log in enumerate(drawn, 1):
+        write_page(folder / f"worst_{place}.html", [found[log.key]])
+        links[log.name] = f"{folder.name}/worst_{place}.html"
     mark: Mark = "worse" if failed.height else "better"
     verdicts: list[tuple[Mark, str]] = [("worse", line) for line in report_lines(findings_of_dataset(runs))]
     verdicts += [(mark, f"{failed.height} of {number(runs.height, 'run')} failed")] if runs.height else []
     for summary in summaries:
         mark, text = single_sentence(summary)
         verdicts.append((mark, f"{summary.name}: {text}" if len(summaries) > 1 else text))
-    lost, bad = _failed_table(failed, several), _worst_table(worst, names, several)
-    _save(target, address, verdicts, stages_of(summaries), [(found.settings, {}), (lost, failed_links), (bad, links)])
+    tables = [
+        (settings_of_dataset(frames, runs), {}),
+        (_failed_table(failed, several), failed_links),
+        (_worst_table(worst), links),
+    ]
+    save(target, render([dataset.name], verdicts, tables, stages=stages_of(summaries)))
 
 
-def _save(
-    target: Path,
-    title: str,
-    verdicts: Sequence[tuple[Mark, str]],
-    stages: Table,
-    tables: Sequence[tuple[Table, Links]] = (),
-) -> None:
-    text = render([title], verdicts, tables, stages=stages)
-    with completing(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def worst_of(logs: pl.DataFrame, most: int) -> BadLogs:
-    """The worst logs over all quantities, the worst first, with means above the relevant effects.
-
-    Raises:
-        TableError: a table cannot be read.
-    """
-    rankings = worst_logs(logs, most)[0].items()
-    found = [(key_of(row), (q, row["mean"], size(row["mean"], q))) for q, rows in rankings for row in rows]
-    largest_last = sorted((item for item in found if item[1][2] > 1), key=lambda item: item[1][2])
-    return dict(sorted(dict(largest_last).items(), key=lambda item: -item[1][2])[:most])
+def worst_of(logs: WorstLogs, several: bool) -> list[BadLog]:
+    """The worst logs over all quantities, each once, the worst first, with means above the relevant effects."""
+    named = logs.frames.runs.select("log", *LOG).rows()
+    found = [
+        BadLog(_name(name, config, several), (log_id, config), quantity, log.mean, size(log.mean, quantity))
+        for quantity, ranked in logs.by_quantity.items()
+        for log in ranked
+        for name, log_id, config in [named[log.run]]
+    ]
+    largest: dict[LogKey, BadLog] = {}
+    for log in sorted((log for log in found if log.size > 1), key=lambda log: -log.size):
+        largest.setdefault(log.key, log)
+    return list(largest.values())[:PAGES]
 
 
 def _name(log: str, config: str, several: bool) -> str:
@@ -112,13 +118,10 @@ def _failed_table(failed: pl.DataFrame, several: bool) -> Table:
     return Table("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
 
 
-def _worst_table(worst: BadLogs, names: Mapping[str, str], several: bool) -> Table:
-    rows = [
-        (_name(names[log_id], config, several), shown(mean, q), f"{times:.0f}", q.name)
-        for (log_id, config), (q, mean, times) in worst.items()
-    ]
+def _worst_table(worst: Sequence[BadLog]) -> Table:
+    rows = [(log.name, shown(log.mean, log.quantity), f"{log.size:.0f}", log.quantity.name) for log in worst]
     notes = ("mean of the absolute values over the log, and its distance from a perfect value in relevant effects",)
-    return Table("Worst logs", ("mean", "relevant effects", "metric"), tuple(rows), notes, last_is_text=True)
+    return Table("Worst logs", ("mean", "relevant effects", "metric"), rows, notes, last_is_text=True)
 
 
 def _write_failed(folder: Path, failed: pl.DataFrame, several: bool) -> dict[str, str]:
@@ -128,7 +131,7 @@ def _write_failed(folder: Path, failed: pl.DataFrame, several: bool) -> dict[str
         facts = [(name, _fact(item[name])) for name in _FACTS if item.get(name)]
         table = Table("Run", ("value",), tuple(facts), last_is_text=True)
         said = f"{item['status']}: {_reason(item)}"
-        _save(folder / f"failed_{place}.html", item["path"], [("worse", said)], table)
+        save(folder / f"failed_{place}.html", render([item["path"]], [("worse", said)], [], stages=table))
         links[_name(item["path"], item["config"], several)] = f"{folder.name}/failed_{place}.html"
     return links
 

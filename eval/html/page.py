@@ -24,11 +24,12 @@ from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
 from ..report.full_tables import full_tables
-from ..report.run_report import in_segments
+from ..report.report import frames_in_segments
+from ..report.sources import load, source_of_runs
 from ..report.stages import stages_of
+from ..report.summaries import Summary, WorstFrame, groups_of_runs, summarise
 from ..report_columns import listed, percent
 from ..runs import Run
-from ..summaries import Summary, WorstFrame, summarise_group
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall
@@ -69,7 +70,7 @@ def _facts(summary: Summary, run: Run) -> dict[str, str]:
         "version": summary.versions[0] or UNKNOWN,
         "input": listed([Path(table.source).name if table.source else _NOT_NAMED for table in run.tables]),
         "output": listed([log.name if log else _NOT_NAMED for log in outputs]),
-        "frames": f"{summary.frames}{in_segments(summary)} over {summary.span_s:.2f} s{rate}",
+        "frames": f"{frames_in_segments(summary)} over {summary.span_s:.2f} s{rate}",
         "longest gap": f"{summary.longest_gap_s:.2f} s",
         "messages missing": missing or "none in any frame",
     }
@@ -83,7 +84,15 @@ def write_page(target: Path, runs: Sequence[Run], command: Command = view_comman
         TargetError: the page cannot be written, or has another suffix.
     """
     require_suffix(target, ".html", ".htm")
-    text = _page(runs, command)
+    save(target, _page(runs, command))
+
+
+def save(target: Path, text: str) -> None:
+    """Write a page, as a partial file until it is complete.
+
+    Raises:
+        TargetError: the page cannot be written.
+    """
     with completing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -91,18 +100,20 @@ def write_page(target: Path, runs: Sequence[Run], command: Command = view_comman
 def _page(runs: Sequence[Run], command: Command) -> str:
     """The page as HTML, over the first ``RUNS_DRAWN`` runs; a note gives the number of the others."""
     drawn = runs[:RUNS_DRAWN]
-    groups = grouped(drawn)
-    found = [summarise_group(group, WORST) for group in groups]
-    by_name = {summary.name: summary for of_group, _ in found for summary in of_group}
-    summaries = [by_name[run.name] for run in drawn]
+    groups, frames = grouped(drawn), load(source_of_runs(drawn))
+    names = [run.name for run in drawn]
+    group_of = {run.name: group.name for group in groups for run in group.runs}
+    groupings = [groups_of_runs(frames, names), groups_of_runs(frames, [group_of[name] for name in names])]
+    summaries, together = summarise(frames, groupings, worst=WORST)
+    by_name = {summary.name: summary for summary in summaries}
     series = [load_series(run, _COLUMNS) for run in drawn]
     verdicts = [single_sentence(summary) for summary in summaries]
     compared = None
     try:
-        compared = comparison_of([(group.runs, of_group) for group, (of_group, _) in zip(groups, found, strict=True)])
+        compared = comparison_of([(group.runs, [by_name[run.name] for run in group.runs]) for group in groups])
     except TableError as error:
         verdicts = [("unchanged", f"No comparison: {error}")]
-    ranked = ranked_frames([together for _, together in found], WORST)
+    ranked = ranked_frames(together, WORST)
     lead = _lead(compared, ranked, drawn, command)
     shown = [*(item.frame for item in ranked), *(lead.frames if lead else ())]
     pictures = gallery(shown, drawn, command)
@@ -114,7 +125,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         "Error distributions": list(distributions(series)),
     }
     return render(
-        names=[run.name for run in drawn],
+        names=names,
         left_out=len(runs) - len(drawn),
         findings=report_lines(findings_of(runs)),
         compared=compared is not None,

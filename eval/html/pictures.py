@@ -21,10 +21,10 @@ from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
 from ..frame_commands import view_command
+from ..report.summaries import WorstFrame
 from ..report_columns import Quantity, rounded
 from ..runs import Run, collect
 from ..scan import SEGMENT, rows_of, since_start_s
-from ..summaries import WorstFrame
 
 WORST: Final = 10
 """Worst frames on the page, over all runs."""
@@ -78,7 +78,7 @@ def frames_of(run: Run, wanted: pl.Expr) -> list[WorstFrame]:
     """The frames of a run for which an expression holds, without values."""
     rows = rows_of(run).select("frame", "stamp_ns", SEGMENT).with_columns(since_start_s())
     found = collect(rows.filter(wanted), run.source_name).iter_rows(named=True)
-    return [WorstFrame(run=run.name, value=math.nan, **row) for row in found]
+    return [WorstFrame(run.name, run.config_digest, value=math.nan, **row) for row in found]
 
 
 def shown(value: float, quantity: Quantity) -> str:

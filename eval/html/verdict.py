@@ -15,9 +15,9 @@ from ..compare.pairing import pair_runs
 from ..compare.verdicts import Mark, Place, Verdict
 from ..options import Rules
 from ..report.full_tables import ranked_by
+from ..report.summaries import Summary, WorstFrame
 from ..report_columns import LOST, TRUTH, Quantity, listed
 from ..runs import Run
-from ..summaries import Summary, WorstFrame
 
 BARS: Final = 9
 """Most bars of the verdict."""

@@ -12,7 +12,6 @@ from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import Row, Table, rows_of_subjects
 
 from ..compare.bootstrap import LEVEL
-from ..consistency import JUDGED
 from ..report_columns import (
     CATEGORIES,
     CONFUSED,
@@ -28,8 +27,9 @@ from ..report_columns import (
     ranked,
     rounded,
 )
-from ..statistics import Statistics
-from ..summaries import BETWEEN, Summary, WorstFrame
+from .consistency import JUDGED
+from .statistics import Statistics
+from .summaries import BETWEEN, Summary, WorstFrame
 
 _SIGMAS: Final = tuple(f"{limit}\N{GREEK SMALL LETTER SIGMA} %" for limit in ("1", "2", ">3"))
 _LARGE: Final = 100

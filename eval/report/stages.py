@@ -11,7 +11,7 @@ from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
 
 from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
 from ..results import Case
-from ..summaries import Summary, WorstFrame
+from .summaries import Summary, WorstFrame
 
 Command = Callable[[WorstFrame], str]
 """The command that shows a frame."""
@@ -60,6 +60,15 @@ _STAGES: Final = {
         *("odometry", "step_error_m", "odometry_inliers", SPEED.column, "odometry", "odometry_status"), ("lost",)
     ),
 }
+TRUE_POSES: Final = "turn_error_deg"
+"""A column with values if the log has true poses."""
+COLUMNS: Final = frozenset(
+    (
+        *(column for of in _STAGES.values() for column in (of.error, of.quality, of.telling)),
+        *(*COVERED.values(), "step_m", TRUE_POSES, TOTAL.column),
+    )
+)
+"""The numeric columns of the short report."""
 NO_SCALE: Final = "without metric scale"
 _ASSUMED: Final = "the assumed height"
 _NARROW: Final = {

@@ -10,7 +10,8 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.eval.consistency import Consistency, added, consistency_of_run
+from roadperc_stream.eval.report.consistency import Consistency, added, consistency_by_run
+from roadperc_stream.eval.report.sources import load, source_of_runs
 from roadperc_stream.eval.runs import open_run
 from tests.accuracy.bounds import Measured, Value, nothing, percent
 
@@ -356,7 +357,8 @@ QUANTITIES = {
 
 @cache
 def _of_replay(path):
-    return consistency_of_run(open_run(path, path.name))
+    (found,) = consistency_by_run(load(source_of_runs([open_run(path, path.name)])))
+    return found
 
 
 def _consistency(tables, columns):

@@ -6,6 +6,8 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from roadperc_stream.eval.report.sources import load, source_of_runs
+from roadperc_stream.eval.report.summaries import Summary, groups_of_runs, summarise
 from roadperc_stream.eval.runs import Run, find_runs
 from roadperc_stream.output.tables import TableWriter, arrow_schema
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
@@ -64,3 +66,11 @@ def object_rows(columns):
     known = pl.DataFrame(arrow_schema(ObjectMetrics).empty_table()).schema
     others = [pl.lit(None, kind).alias(name) for name, kind in known.items() if name not in columns]
     return pl.DataFrame(columns).with_columns(others)
+
+
+def summary_of(*runs: Run, worst: int = 3) -> Summary:
+    """The figures over all frames of some runs."""
+    frames = load(source_of_runs(runs))
+    name = runs[0].name if len(runs) == 1 else "all"
+    ((summary,),) = summarise(frames, [groups_of_runs(frames, [name] * len(runs))], worst=worst)
+    return summary

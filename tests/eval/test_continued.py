@@ -11,8 +11,7 @@ from roadperc_stream.cli.trajectory import main as trajectory_main
 from roadperc_stream.eval.continued import find_joined
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
-from roadperc_stream.eval.summaries import summarise_run
-from tests.eval.tables import row, write
+from tests.eval.tables import row, summary_of, write
 from tests.eval.trajectories.paths import columns, helix, noisy
 
 FRAMES = 20
@@ -58,7 +57,7 @@ def test_continued_replays_are_one_run_with_the_figures_of_a_single_replay(tmp_p
     (run,), (expected,) = found.runs, find_joined([whole]).runs
     assert (run.name, run.frames, numbers_of(run)) == ("out_0+2", FRAMES, list(range(FRAMES)))
     assert found.notes == ("out_0+2: 3 continued replays as one run: out_0, out_1, out_2",)
-    ours, theirs = summarise_run(run, 3), summarise_run(expected, 3)
+    ours, theirs = summary_of(run, worst=3), summary_of(expected, worst=3)
     assert ours.log_ids == LOGS[:3]
     worst = {column: tuple(replace(f, run="whole") for f in ranking) for column, ranking in ours.worst.items()}
     assert replace(ours, name="whole", log_ids=theirs.log_ids, worst=worst) == theirs

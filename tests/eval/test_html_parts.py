@@ -17,7 +17,6 @@ from roadperc_stream.eval.html.known_plots import average_precision, curve, matc
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summaries import summarise_run
 from roadperc_stream.formats import images
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import Channel, LogWriter, Message
@@ -30,7 +29,7 @@ from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.topics import METRICS_TOPIC
 from roadperc_stream.view.result_frames import read_frame
 from tests.analytic import box
-from tests.eval.tables import write
+from tests.eval.tables import summary_of, write
 
 STAMP = 1_600_000_000_000_000_000
 
@@ -212,7 +211,7 @@ def test_pictures_of_a_looped_log_come_from_the_right_segment(tmp_path):
             metrics = result_channel(METRICS_TOPIC, "roadperc.FrameMetrics")
             writer.write(Message(metrics, time_ns, time_ns, item.frame, encode_metrics("camera", item)))
     (run,) = find_runs([str(write(table, rows, log=str(log)))])
-    found = gallery(summarise_run(run, 2).worst["lane_left_error_m"], [run])
+    found = gallery(summary_of(run, worst=2).worst["lane_left_error_m"], [run])
     assert found.notes == []
     assert [picture.frame.frame for picture in found.pictures.values()] == [0, 1]
     decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures.values()]

@@ -12,11 +12,10 @@ from roadperc_stream.eval.compare.pairing import logged_runs, pair_runs
 from roadperc_stream.eval.html.charts import POSE_COLUMNS, paths, trajectory
 from roadperc_stream.eval.html.figures import load_series
 from roadperc_stream.eval.options import Rules
-from roadperc_stream.eval.summaries import summarise_run
 from roadperc_stream.eval.trajectory.errors import Delta
 from roadperc_stream.eval.trajectory.evaluation import evaluate
 from roadperc_stream.eval.trajectory.poses import read_poses
-from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
+from tests.eval.tables import START_NS, STEP_NS, row, run_of, summary_of, write
 from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight, write_run
 
 FRAMES = 24
@@ -41,7 +40,7 @@ def again(rows, segment=1):
 
 @pytest.fixture
 def once(tmp_path):
-    return summarise_run(run_of(write(tmp_path / "once.metrics.parquet", drive())), 3)
+    return summary_of(run_of(write(tmp_path / "once.metrics.parquet", drive())), worst=3)
 
 
 @pytest.fixture
@@ -50,7 +49,7 @@ def looped(tmp_path):
 
 
 def test_a_looped_log_has_twice_the_values_and_the_same_statistics(once, looped):
-    found = summarise_run(run_of(looped), 3)
+    found = summary_of(run_of(looped), worst=3)
     assert (once.segments, found.segments) == (1, 2)
     assert found.span_s == 2 * once.span_s == pytest.approx(2 * 0.05 * (FRAMES - 1))
     assert (found.longest_gap_s, found.rate_hz) == (once.longest_gap_s, pytest.approx(once.rate_hz))
@@ -65,7 +64,7 @@ def test_the_time_of_worst_frames_continues_across_segments(tmp_path):
     rows = [*drive(3), *again(drive(3))]
     rows[4] = replace(rows[4], lane_left_error_m=0.7)
     rows[1] = replace(rows[1], lane_left_error_m=0.7)
-    found = summarise_run(run_of(write(tmp_path / "a.metrics.parquet", rows)), 3).worst["lane_left_error_m"]
+    found = summary_of(run_of(write(tmp_path / "a.metrics.parquet", rows)), worst=3).worst["lane_left_error_m"]
     places = [(f.frame, f.segment, pytest.approx(f.since_start_s)) for f in found]
     assert places == [(1, 0, 0.05), (4, 1, 0.15)]
     assert found[0].stamp_ns == found[1].stamp_ns

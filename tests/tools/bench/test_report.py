@@ -4,18 +4,18 @@ import re
 
 import pytest
 
-from roadperc_stream.eval.configurations import Group
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summaries import summarise_group
 from roadperc_stream.tools.bench.report import group_by, main, write_dataset
+from tests.eval.tables import summary_of
 
 
 def test_both_ways_read_the_same_values(tmp_path):
     write_dataset(tmp_path, 2, 1500)
     bare = group_by(str(tmp_path)).sort("config")
     paths = sorted(tmp_path.glob("metrics/*/*.parquet"), key=lambda path: path.stem[-8:])
-    summaries, together = summarise_group(Group("all", find_runs([str(path) for path in paths])), 1)
-    assert together.frames == 3000
+    found = find_runs([str(path) for path in paths])
+    assert summary_of(*found).frames == 3000
+    summaries = [summary_of(item) for item in found]
     for summary, means, medians in zip(summaries, bare["step_error_m"], bare["step_error_m_0.5"], strict=True):
         statistic = summary.statistics["step_error_m"]
         assert statistic.total / statistic.values == pytest.approx(means)

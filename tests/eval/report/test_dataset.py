@@ -8,15 +8,16 @@ import polars as pl
 import pytest
 
 from roadperc_stream.cli.report import main
-from roadperc_stream.eval.configurations import grouped
-from roadperc_stream.eval.dataset import groups, reading
-from roadperc_stream.eval.dataset.groups import group_frames, summaries_of
-from roadperc_stream.eval.dataset.place import dataset_at, metrics_files, read_runs
+from roadperc_stream.eval.dataset.place import dataset_at, read_runs
+from roadperc_stream.eval.report import grouping, sources
+from roadperc_stream.eval.report import report as module
+from roadperc_stream.eval.report.grouping import grouped_frames
+from roadperc_stream.eval.report.sources import load, source_of_dataset
+from roadperc_stream.eval.report.summaries import summarise
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summaries import summarise_group
 from roadperc_stream.tools.bench.report import write_dataset
 from tests.eval.dataset.datasets import A, B, add_table, compact, done, frames, log_id, small_dataset, write_runs
-from tests.eval.tables import outcome, usage_error
+from tests.eval.tables import outcome, summary_of, usage_error
 
 report = partial(outcome, lambda argv: main([*argv, "--full"]))
 
@@ -28,8 +29,8 @@ def dataset(tmp_path):
 
 def summaries(folder, *by):
     dataset = dataset_at(str(folder))
-    found = group_frames(metrics_files(dataset), read_runs(dataset), by)
-    return summaries_of(found, {}, [A, B])
+    frames = load(source_of_dataset(dataset, read_runs(dataset)), by)
+    return summarise(frames, [grouped_frames(frames, by)])[0]
 
 
 @pytest.mark.parametrize(
@@ -43,10 +44,7 @@ def summaries(folder, *by):
     ],
 )
 def test_names_of_groups(dataset, by, names):
-    found = dataset_at(str(dataset))
-    grouping = group_frames(metrics_files(found), read_runs(found), [by])
-    logs = {log_id(number): f"drive{number}" for number in (1, 2)}
-    assert [summary.name for summary in summaries_of(grouping, logs, [A, B])] == names
+    assert [summary.name for summary in summaries(dataset, by)] == names
 
 
 def test_the_short_report_has_a_row_per_configuration_and_the_worst_log(dataset, capsys):
@@ -77,16 +75,16 @@ def test_the_longest_stretch_without_an_output(tmp_path, capsys):
 
 
 def test_reading_in_batches_gives_the_same_as_single_tables(tmp_path, monkeypatch):
-    """Batches end within logs; differences between frames across their ends are included."""
+    """Batches of texts end within logs, and columns are read one by one."""
     write_dataset(tmp_path / "dataset", 6, 500)
-    monkeypatch.setattr(reading, "_ROWS", 330)
+    monkeypatch.setattr(sources, "_ROWS", 330)
+    monkeypatch.setattr(sources, "_MOST_VALUES", 1)
     found = summaries(tmp_path / "dataset", "config")
     folder = tmp_path / "tables"
     folder.mkdir()
     for path in (tmp_path / "dataset").glob("metrics/*/*-11111111.parquet"):
         path.rename(folder / f"{path.stem}.metrics.parquet")
-    (group,) = grouped(find_runs([str(folder)]))
-    _, alone = summarise_group(group, 1)
+    alone = summary_of(*find_runs([str(folder)]))
     (of_config,) = (summary for summary in found if summary.name == "11111111")
     exact = ("frames", "runs", "segments", "longest_gap_s", "incomplete", "categories", "missing", "reasons", "totals")
     for name in exact:
@@ -97,28 +95,10 @@ def test_reading_in_batches_gives_the_same_as_single_tables(tmp_path, monkeypatc
         assert vars(of_config.statistics[name]) == pytest.approx(vars(expected), rel=1e-9, abs=1e-12), name
 
 
-def test_thinned_quantiles_are_within_their_rank_error(tmp_path, monkeypatch):
-    write_dataset(tmp_path, 6, 500)
-    (exact, _) = summaries(tmp_path, "config")
-    monkeypatch.setattr(groups, "EXACT_FRAMES", 500)
-    monkeypatch.setattr(groups, "POINTS", 64)
-    monkeypatch.setattr(groups, "_FEWEST_POINTS", 64)
-    monkeypatch.setattr(reading, "_ROWS", 400)
-    (thinned, _) = summaries(tmp_path, "config")
-    assert 0 < thinned.rank_error < 0.05
-    assert thinned.statistics["step_m"].total == pytest.approx(exact.statistics["step_m"].total)
-    assert thinned.statistics["step_m"].median != exact.statistics["step_m"].median
-    values = pl.concat([pl.read_parquet(path) for path in tmp_path.glob("metrics/*/*-00000000.parquet")])[
-        "step_m"
-    ].drop_nulls()
-    rank = (values < thinned.statistics["step_m"].median).mean()
-    assert abs(rank - 0.5) <= thinned.rank_error
-
-
-def test_of_too_many_groups_the_worst_are_listed(dataset, monkeypatch, capsys):
-    monkeypatch.setattr(groups, "MOST_GROUPS", 1)
+def test_of_too_many_groups_the_first_are_listed(dataset, monkeypatch, capsys):
+    monkeypatch.setattr(module, "_ROWS_LISTED", 1)
     _, text, _ = report(capsys, dataset, "--by", "log")
-    assert "listed: 1 of 2 groups, those with the worst mean errors" in text
+    assert "listed: the first 1 of 2 groups" in text
     lines = [line.split() for line in text.splitlines()]
     assert ["drive1", "1", "8", "0.30", "s", "100.0"] in lines
 
@@ -194,7 +174,7 @@ def test_without_tables_the_failures_are_printed(tmp_path, capsys):
     ],
 )
 def test_invalid_groupings_are_errors(dataset, monkeypatch, capsys, by, said):
-    monkeypatch.setattr(groups, "MOST_GROUPS", 3)
+    monkeypatch.setattr(grouping, "MOST_GROUPS", 3)
     code, _, error = report(capsys, dataset, "--by", by)
     assert (code, f"--by {by}: {said}" in error) == (1, True)
 

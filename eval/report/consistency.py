@@ -9,7 +9,6 @@ an object, or as many frames as the errors' autocorrelation requires.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
 
-from .compare.bootstrap import LEVEL, block_length
-from .runs import Run, collect
-from .scan import rows_of
+from ..compare.bootstrap import LEVEL, block_length
+from ..dataset.reading import reading_files
+from .sources import RUN, Frames
 
 _FARTHEST: Final = 1e6
 """Largest absolute normalised error; larger ones are clipped, so that sums stay finite."""
@@ -138,22 +137,21 @@ def consistency_of_frames(normalised: Float, errors: int) -> Consistency:
     return consistency(known, errors, np.arange(len(known)) // length)
 
 
-def consistency_of_run(run: Run) -> dict[str, Consistency]:
-    """Consistency of each quantity with known truth in a run, by name; empty without a standard deviation.
+def consistency_by_run(frames: Frames) -> list[dict[str, Consistency]]:
+    """Consistency of each quantity with known truth in each run, by name.
 
     Raises:
-        TableError: the data of a table cannot be read.
+        TableError: a table cannot be read.
     """
-    frames = collect(rows_of(run).select(_columns(FRAME_QUANTITIES)), run.source_name)
-    parts = [{judged.estimate: consistency_of_frames(*errors_of(frames, judged)) for judged in FRAME_QUANTITIES}]
-    for table in run.tables:
-        if table.objects is not None:
-            seen = _kept_objects(table.objects, table.end_frame)
-            objects = object_numbers(seen)
-            parts.append(
-                {judged.estimate: consistency(*errors_of(seen, judged), objects) for judged in OBJECT_QUANTITIES}
-            )
-    return {name: sums for name, sums in added(parts).items() if sums.errors}
+    table = frames.beside(_columns(FRAME_QUANTITIES))
+    found = [
+        {judged.estimate: consistency_of_frames(*errors_of(own, judged)) for judged in FRAME_QUANTITIES}
+        for own in table.partition_by(RUN, maintain_order=True)
+    ]
+    for (run,), own in _kept_objects(frames).partition_by(RUN, as_dict=True).items():
+        numbers = object_numbers(own)
+        found[run] |= {judged.estimate: consistency(*errors_of(own, judged), numbers) for judged in OBJECT_QUANTITIES}
+    return [{name: sums for name, sums in of_run.items() if sums.errors} for of_run in found]
 
 
 def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
@@ -175,15 +173,22 @@ def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
     return np.where(known, np.clip(normalised, -_FARTHEST, _FARTHEST), np.nan), int(np.count_nonzero(known))
 
 
-def _kept_objects(path: Path, end_frame: int | None) -> pl.DataFrame:
-    """The kept detections of a table before ``end_frame``, with the columns of ``OBJECT_QUANTITIES``.
+def _kept_objects(frames: Frames) -> pl.DataFrame:
+    """The kept detections, with the number of their run, their track and the columns of ``OBJECT_QUANTITIES``.
 
     Raises:
         TableError: the data cannot be read.
     """
-    rows = pl.scan_parquet(path, glob=False).filter("kept")
-    rows = rows if end_frame is None else rows.filter(pl.col("frame") < end_frame)
-    return collect(rows.select(pl.col("track_id").cast(pl.String), _columns(OBJECT_QUANTITIES)), str(path))
+    source, columns = frames.source, _columns(OBJECT_QUANTITIES)
+    if source.objects is None:
+        return pl.DataFrame(schema={RUN: pl.Int64})
+    own = source.objects.filter("kept").select(*source.keys, "track_id", *columns)
+    with reading_files(source.object_files):
+        rows = own.collect()
+    runs = frames.runs.select(source.keys).with_row_index("number")
+    return rows.join(runs, on=source.keys, maintain_order="left").select(
+        pl.col("number").alias(RUN), pl.col("track_id").cast(pl.String), pl.col(columns).cast(pl.Float64)
+    )
 
 
 def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
@@ -194,6 +199,5 @@ def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
     return np.where(untracked, alone, np.nan_to_num(ranks) - 1).astype(np.int64)
 
 
-def _columns(judged: Sequence[Judged]) -> pl.Expr:
-    names = dict.fromkeys(name for item in judged for name in (item.estimate, item.truth, item.std))
-    return pl.col(list(names)).cast(pl.Float64)
+def _columns(judged: Sequence[Judged]) -> list[str]:
+    return list(dict.fromkeys(name for item in judged for name in (item.estimate, item.truth, item.std)))

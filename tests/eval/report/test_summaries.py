@@ -7,20 +7,14 @@ import polars as pl
 import pytest
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.eval import summaries as module
-from roadperc_stream.eval.configurations import Group
-from roadperc_stream.eval.report_columns import NUMBERS
+from roadperc_stream.eval.report import sources
 from roadperc_stream.eval.runs import find_runs
-from roadperc_stream.eval.summaries import summarise_group, summarise_run
+from tests.eval import tables
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 
 
-def summary_of(tmp_path, rows, times=(), worst=3):
-    return summarise_run(run_of(write(tmp_path / "drive.metrics.parquet", rows, times)), worst)
-
-
-def over_all(runs):
-    return summarise_group(Group("all", runs), 1)[1]
+def summary_of(tmp_path, rows):
+    return tables.summary_of(run_of(write(tmp_path / "drive.metrics.parquet", rows)))
 
 
 def test_extent(tmp_path):
@@ -93,20 +87,11 @@ def test_damaged_data_behind_a_whole_footer(tmp_path):
         find_runs([str(path)])
 
 
-def test_a_group_lists_the_same_summaries_as_single_runs(tmp_path):
-    long = [row(k, "a" * 16, lane_left_error_m=k / 100, missing=("depth",)) for k in range(9)]
-    short = [row(0, "b" * 16, lane_left_error_m=-0.5, surface_source="depth")]
-    write(tmp_path / "long.metrics.parquet", long)
-    write(tmp_path / "short.metrics.parquet", short)
-    runs = find_runs([str(tmp_path)])
-    assert summarise_group(Group("all", runs), 2)[0] == [summarise_run(run, 2) for run in runs]
-
-
 def test_second_differences_do_not_cross_from_log_to_log(tmp_path):
     for name, offset in (("a", 0.0), ("b", 5.0)):
         rows = [row(k, lane_left_offset_m=offset, lane_left_raw_offset_m=offset) for k in range(3)]
         write(tmp_path / f"{name}.metrics.parquet", rows)
-    together = over_all(find_runs([str(tmp_path)]))
+    together = tables.summary_of(*find_runs([str(tmp_path)]))
     assert together.statistics["lane_left_second_difference_m"].values == 2
     assert together.statistics["lane_left_second_difference_m"].abs_most == 0.0
 
@@ -125,11 +110,11 @@ def fifty_tables(tmp_path_factory):
     return find_runs([str(folder)]), pl.read_parquet(folder / "*.parquet")["lane_left_error_m"].drop_nulls()
 
 
-def test_over_few_frames_all_statistics_are_exact(fifty_tables):
+@pytest.mark.parametrize("values", [1, 10**9], ids=["a column at a time", "all columns"])
+def test_statistics_over_several_tables(fifty_tables, monkeypatch, values):
     runs, joined = fifty_tables
-    together = over_all(runs)
-    found = together.statistics["lane_left_error_m"]
-    assert together.rank_error == 0
+    monkeypatch.setattr(sources, "_MOST_VALUES", values)
+    found = tables.summary_of(*runs).statistics["lane_left_error_m"]
     assert found.values == len(joined)
     assert [found.total, found.std, found.least] == pytest.approx([joined.sum(), joined.std(ddof=0), joined.min()])
     expected = [joined.quantile(share, "linear") for share in (0.05, 0.5, 0.95, 0.99)]
@@ -137,25 +122,6 @@ def test_over_few_frames_all_statistics_are_exact(fifty_tables):
     sizes = joined.abs()
     expected = [sizes.median(), sizes.quantile(0.95, "linear"), sizes.max()]
     assert [found.abs_median, found.abs_p95, found.abs_most] == pytest.approx(expected, rel=1e-12)
-
-
-def test_over_many_frames_quantiles_are_within_their_rank_error(fifty_tables, monkeypatch):
-    """Sixteen values per table, as for ten million frames; the other statistics stay exact."""
-    runs, joined = fifty_tables
-    exact = over_all(runs)
-    monkeypatch.setattr(module, "EXACT_FRAMES", 100)
-    monkeypatch.setattr(module, "POINTS", 16)
-    together = over_all(runs)
-    found = together.statistics["lane_left_error_m"]
-    assert 0 < found.rank_error < 0.2
-    for share, value in ((0.05, found.p5), (0.5, found.median), (0.95, found.p95), (0.99, found.p99)):
-        assert abs((joined <= value).mean() - share) <= found.rank_error + 1 / len(joined)
-    for share, value in ((0.5, found.abs_median), (0.95, found.abs_p95)):
-        assert abs((joined.abs() <= value).mean() - share) <= 2 * found.rank_error + 1 / len(joined)
-    for name in ("values", "total", "std", "least", "abs_most"):
-        assert getattr(found, name) == getattr(exact.statistics["lane_left_error_m"], name)
-    assert together.statistics.keys() == exact.statistics.keys() <= {quantity.column for quantity in NUMBERS}
-    assert together.worst == exact.worst
 
 
 def test_perfect_frames_are_not_among_the_worst(tmp_path):

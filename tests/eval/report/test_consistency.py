@@ -7,13 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.cli.report import main
-from roadperc_stream.eval.consistency import (
+from roadperc_stream.eval.report.consistency import (
     added,
     consistency,
+    consistency_by_run,
     consistency_of_frames,
-    consistency_of_run,
     object_numbers,
 )
+from roadperc_stream.eval.report.sources import load, source_of_runs
 from tests.eval.tables import object_rows, row, run_of, write
 
 
@@ -37,7 +38,8 @@ def objects(path, **columns):
 
 
 def only_run(path):
-    return consistency_of_run(run_of(path))
+    (found,) = consistency_by_run(load(source_of_runs([run_of(path)])))
+    return found
 
 
 def test_shares_and_nees_by_hand():
@@ -143,7 +145,7 @@ def test_the_report_and_the_page_have_the_table(tmp_path, capsys):
 def test_damaged_detections_are_an_error_that_names_them(tmp_path, capsys):
     path = frames(tmp_path / "drive.metrics.parquet", [0.1], [0.1])
     target = objects(path, kept=[True], distance_m=["far"], true_distance_m=[1.0])
-    assert main([str(path)]) == 1
+    assert main([str(path), "--full"]) == 1
     assert target.name in capsys.readouterr().err
 
 

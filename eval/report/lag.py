@@ -6,8 +6,8 @@ from typing import Final
 
 import polars as pl
 
-from .report_columns import TRACED
-from .scan import before
+from ..report_columns import TRACED
+from ..scan import before
 
 _FARTHEST: Final = 6
 _SHIFTS: Final = tuple(sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs))
@@ -31,7 +31,7 @@ def correlations(estimate: str, truth: str) -> pl.Expr:
 
 def traces() -> list[pl.Expr]:
     """Correlations of each side's smoothed offset with its truth."""
-    return [correlations(*columns).alias(f"correlations {side}") for side, columns in TRACED.items()]
+    return [correlations(*columns).alias(side) for side, columns in TRACED.items()]
 
 
 def _correlation(a: pl.Expr, b: pl.Expr) -> pl.Expr:

@@ -10,7 +10,6 @@ import pytest
 
 from roadperc_stream.cli.report import main
 from roadperc_stream.config import load_config
-from roadperc_stream.eval import summaries
 from roadperc_stream.eval.frame_commands import view_command, view_pair_command
 from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import table_facts
@@ -121,19 +120,6 @@ def test_of_many_logs_the_worst_are_shown(tmp_path, capsys):
     block = text[text.index("Accuracy by run") : text.index("Latency by run")]
     assert re.findall(r"log(\d\d)", block) == [f"{index:02}" for index in range(13, 1, -1)]
     assert "at most 12 of 14 per row, those with the worst p95" in text
-
-
-def test_the_rank_error_of_thinned_quantiles_is_printed(tmp_path, capsys, monkeypatch):
-    for name in ("a", "b"):
-        write(tmp_path / f"{name}.metrics.parquet", [row(k, camera_height_m=float(k)) for k in range(100)])
-    _, text, _ = report(capsys, tmp_path)
-    assert "in rank" not in text
-    monkeypatch.setattr(summaries, "EXACT_FRAMES", 199)
-    monkeypatch.setattr(summaries, "POINTS", 10)
-    _, text, _ = report(capsys, tmp_path)
-    assert "quantiles over all 200 frames are within 7.50 % in rank, those of absolute values within 15.00 %" in (
-        text.replace("\n", " ")
-    )
 
 
 def test_rare_reasons_are_counted_together_and_markup_is_printed_as_text(tmp_path, capsys):

@@ -1,0 +1,314 @@
+"""The figures of sets of frames: of a run, of several runs, of a slice, or of a group of a dataset."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import polars as pl
+
+from roadperc_stream.geometry import Float
+from roadperc_stream.model import ReasonKind, reason_of
+from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
+from roadperc_stream.schemas.columns import RATIO
+
+from ..lanes.precision_recall import Score, scores
+from ..report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, STATES, TRACED, Quantity
+from .consistency import Consistency, added, consistency_by_run
+from .lag import averaged, lag_frames, traces
+from .sources import RUN, Frames, Numbers
+from .statistics import Statistics, statistics
+
+ALL: Final = frozenset(quantity.column for quantity in NUMBERS)
+"""All columns of a report."""
+BETWEEN: Final = "\t"
+"""Separates a true text from its estimate."""
+_GROUP: Final = "group"
+ByColumn = Callable[[str, Float], object]
+_RANKED: Final = {quantity.column: quantity for quantity in RANKED}
+_TEXTS: Final = {
+    **{name: pl.col(name) for name in CATEGORIES},
+    **{
+        name: pl.concat_str(truth, pl.col(estimate).fill_null(""), separator=BETWEEN)
+        for name, (truth, estimate) in CONFUSED.items()
+    },
+}
+"""The counted texts: values of columns, and true texts with their estimates, which may be empty."""
+_STATES: Final = {name: text for name, text in _TEXTS.items() if name in STATES}
+
+
+@dataclass(frozen=True)
+class WorstFrame:
+    """One of the worst frames by a quantity, its run and configuration; ``value`` is in the quantity's unit."""
+
+    run: str
+    config: str
+    frame: int
+    segment: int
+    since_start_s: float
+    stamp_ns: int
+    value: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The figures of a set of rows.
+
+    ``log_ids`` are digests of the logs' messages; ``configs`` and ``versions`` identify the replays. ``statistics`` has
+    the numeric columns with values. ``incomplete`` counts the frames in which any role lacks a message, ``missing``
+    those of each role. ``categories`` counts the values of each text column, ``reasons`` the reasons of absent outputs.
+    ``totals`` are the sums of the count columns that have values. ``worst`` has the worst frames per column.
+
+    ``segments`` is the number of segments, ``span_s`` the sum of their time spans, ``longest_gap_s`` the longest time
+    between two frames of one; they are known of whole runs only. ``mounting_height_m`` is the camera's height by the
+    transforms of a single run. ``correlations`` are those of each side's smoothed offset with its truth, by shift, and
+    ``consistency`` has the quantities with known truth; both are empty in short summaries.
+    """
+
+    name: str
+    frames: int
+    runs: int
+    log_ids: tuple[str, ...]
+    configs: tuple[str, ...]
+    versions: tuple[str, ...]
+    incomplete: int = 0
+    categories: Mapping[str, Counter[str]] = field(default_factory=dict)
+    missing: Counter[str] = field(default_factory=Counter)
+    reasons: ReasonCounts = field(default_factory=dict)
+    totals: Mapping[str, int] = field(default_factory=dict)
+    statistics: Mapping[str, Statistics] = field(default_factory=dict)
+    segments: int = 0
+    span_s: float = 0.0
+    longest_gap_s: float = 0.0
+    mounting_height_m: float | None = None
+    correlations: Mapping[str, tuple[float | None, ...]] = field(default_factory=dict)
+    consistency: Mapping[str, Consistency] = field(default_factory=dict)
+    worst: Mapping[str, tuple[WorstFrame, ...]] = field(default_factory=dict, repr=False)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Frames per second of log time; None without a time span, as with a single frame."""
+        return (self.frames - self.segments) / self.span_s if self.span_s > 0 else None
+
+    def coverage(self, column: str) -> float:
+        """Share of frames with a value in a numeric column."""
+        found = self.statistics.get(column)
+        return found.values / self.frames if found else 0.0
+
+    def share(self, column: str, *values: str) -> float:
+        """Share of frames with one of these values in a text column."""
+        return sum(self.categories[column][value] for value in values) / self.frames
+
+    def reason_share(self, kind: ReasonKind) -> float:
+        """Share of frames with a reason."""
+        found = self.reasons.get(kind)
+        return found.frames / self.frames if found else 0.0
+
+    @property
+    def scores(self) -> list[Score]:
+        """Precision, recall and F1 of the counted outputs."""
+        return scores(self.totals)
+
+    def lag_frames(self, side: str) -> int | None:
+        """Frames by which a side's smoothed offset lags the truth; None if unknown."""
+        return lag_frames(self.correlations[side])
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Groups of frames: their ``names``, and the number of the group of each frame, (N,), and of each run.
+
+    ``of_runs`` is None if the frames of a run are in several groups.
+    """
+
+    names: Sequence[str]
+    of_frames: Numbers
+    of_runs: Numbers | None = None
+
+    @cached_property
+    def frames(self) -> list[Numbers]:
+        """The indices of the frames of each group."""
+        ends = np.cumsum(np.bincount(self.of_frames, minlength=len(self.names)))
+        return np.split(np.argsort(self.of_frames, kind="stable"), ends[:-1])
+
+
+def groups_of_runs(frames: Frames, names: Sequence[str]) -> Groups:
+    """Groups of whole runs; ``names`` has the name of the group of each run."""
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    of_runs = np.array([numbers[name] for name in names])
+    return Groups(list(numbers), of_runs[frames.run], of_runs)
+
+
+def summarise(
+    frames: Frames,
+    groupings: Sequence[Groups],
+    columns: Container[str] = ALL,
+    worst: int = 1,
+    *,
+    also: ByColumn | None = None,
+) -> list[list[Summary]]:
+    """The figures of some ``columns`` in the groups of each grouping, with the ``worst`` frames by each quantity.
+
+    Each column is read once, and ``also`` is called with its name and its values. Summaries of all columns also have
+    counts, correlations and consistency.
+
+    Raises:
+        TableError: a table cannot be read.
+    """
+    statistics_by: list[list[dict[str, Statistics]]] = [[{} for _ in groups.names] for groups in groupings]
+    worst_by: list[list[dict[str, tuple[WorstFrame, ...]]]] = [[{} for _ in groups.names] for groups in groupings]
+    whole = columns is ALL
+    for name, values in frames.columns(columns):
+        for k, groups in enumerate(groupings):
+            for group, at in enumerate(groups.frames):
+                own = values[at]
+                known = np.isfinite(own)
+                if not known.any():
+                    continue
+                statistics_by[k][group][name] = statistics(own[known])
+                if (
+                    worst
+                    and name in _RANKED
+                    and (ranked := worst_frames(frames, _RANKED[name], values, at[known], worst))
+                ):
+                    worst_by[k][group][name] = ranked
+        if also is not None:
+            also(name, values)
+    by_run = _by_run(frames) if whole else {}
+    totals = frames.beside(COUNTS) if whole else None
+    texts = _texts(frames, groupings, _TEXTS if whole else _STATES)
+    return [
+        [
+            replace(
+                _of_runs(frames, groups, number, by_run),
+                **texts[k][number],
+                totals=_totals(totals, groups.frames[number]),
+                statistics=statistics_by[k][number],
+                worst=worst_by[k][number],
+            )
+            for number in range(len(groups.names))
+        ]
+        for k, groups in enumerate(groupings)
+    ]
+
+
+def worst_frames(frames: Frames, quantity: Quantity, values: Float, at: Numbers, number: int) -> tuple[WorstFrame, ...]:
+    """The worst of the frames ``at`` by (N,) values, the worst first, then the earliest.
+
+    Frames with the best possible value are left out.
+    """
+    high = quantity.better == "high"
+    badness = -values[at] if high else np.abs(values[at])
+    best = (-1.0 if quantity.unit == RATIO else -np.inf) if high else 0.0
+    flawed = badness > best
+    at, badness = at[flawed], badness[flawed]
+    if 0 < number < len(at):
+        least = np.partition(badness, -number)[-number]
+        at, badness = at[badness >= least], badness[badness >= least]
+    order = np.lexsort((frames.stamp_ns[at], frames.segment[at], -badness))[:number]
+    return tuple(frame_at(frames, k, float(values[k])) for k in at[order].tolist())
+
+
+def frame_at(frames: Frames, at: int, value: float = math.nan) -> WorstFrame:
+    """The frame with an index, and its value."""
+    run = int(frames.run[at])
+    return WorstFrame(
+        run=frames.runs["log"][run],
+        config=frames.runs["configs"][run],
+        frame=int(frames.frame[at]),
+        segment=int(frames.own_segments[frames.segment[at]]),
+        since_start_s=frames.since_start_s(at),
+        stamp_ns=int(frames.stamp_ns[at]),
+        value=value,
+    )
+
+
+def _of_runs(frames: Frames, groups: Groups, number: int, by_run: Mapping[str, Sequence[Any]]) -> Summary:
+    """The facts of the runs of a group; if they are in no other group, also their extent and what is ``by_run``."""
+    own = np.unique(frames.run[groups.frames[number]])
+    runs = frames.runs[own]
+    summary = Summary(
+        name=groups.names[number],
+        frames=len(groups.frames[number]),
+        runs=len(own),
+        log_ids=tuple(runs["log_ids"].explode().unique(maintain_order=True)),
+        configs=tuple(runs["configs"].unique(maintain_order=True)),
+        versions=tuple(runs["version"].drop_nulls().unique(maintain_order=True)),
+    )
+    if groups.of_runs is None:
+        return summary
+    parts = {name: [found[run] for run in own] for name, found in by_run.items()}
+    height = runs["mounting_height_m"][0] if "mounting_height_m" in runs.columns and len(own) == 1 else None
+    return replace(
+        summary,
+        segments=int(runs["segments"].sum()),
+        span_s=float(runs["span_s"].sum()),
+        longest_gap_s=float(runs["longest_gap_s"].max()),  # type: ignore[arg-type]
+        mounting_height_m=height,
+        correlations={
+            side: averaged(zip(runs["frames"], (found[side] for found in parts["correlations"]), strict=True))
+            for side in (TRACED if by_run else ())
+        },
+        consistency=added(parts.get("consistency", ())),
+    )
+
+
+def _by_run(frames: Frames) -> dict[str, Sequence[Any]]:
+    """The correlations and the consistency of each run."""
+    columns = [name for pair in TRACED.values() for name in pair]
+    found = frames.beside(columns).group_by(RUN, maintain_order=True).agg(traces()).drop(RUN)
+    return {"correlations": list(found.iter_rows(named=True)), "consistency": consistency_by_run(frames)}
+
+
+def _totals(counts: pl.DataFrame | None, at: Numbers) -> dict[str, int]:
+    """The sums of the count columns that have values in the frames ``at``."""
+    if counts is None:
+        return {}
+    sums = counts[at].select(pl.when(pl.col(name).count() > 0).then(pl.col(name).sum()) for name in COUNTS)
+    return {name: int(total) for name, total in sums.row(0, named=True).items() if total is not None}
+
+
+def _texts(frames: Frames, groupings: Sequence[Groups], texts: Mapping[str, pl.Expr]) -> list[list[dict[str, Any]]]:
+    """The counts of texts, missing messages and reasons in each group of each grouping."""
+    counted = [[_Texts() for _ in groups.names] for groups in groupings]
+    columns = [text.alias(name) for name, text in texts.items()]
+    begin = 0
+    for batch in frames.source.batches(*columns, "missing", "reasons"):
+        for groups, found in zip(groupings, counted, strict=True):
+            group = pl.Series(_GROUP, groups.of_frames[begin : begin + batch.height])
+            for name in batch.columns:
+                rows = pl.DataFrame([group, batch[name].alias("text")])
+                if rows.schema["text"].base_type() is pl.List:
+                    rows = rows.explode("text")
+                counts = rows.drop_nulls("text").group_by(_GROUP, "text", maintain_order=True).len()
+                for number, part in (
+                    counts.sort("len", descending=True, maintain_order=True)
+                    .partition_by(_GROUP, as_dict=True, maintain_order=True)
+                    .items()
+                ):
+                    found[number[0]].add(name, list(part.select("text", "len").iter_rows()))
+            lacking = group.filter(batch["missing"].list.len() > 0).value_counts()
+            for number, count in lacking.iter_rows():
+                found[number].incomplete += count
+        begin += batch.height
+    return [[vars(item) for item in found] for found in counted]
+
+
+@dataclass
+class _Texts:
+    """The counts of a group, as in ``Summary``."""
+
+    categories: dict[str, Counter[str]] = field(default_factory=lambda: {name: Counter() for name in _TEXTS})
+    missing: Counter[str] = field(default_factory=Counter)
+    incomplete: int = 0
+    reasons: ReasonCounts = field(default_factory=dict)
+
+    def add(self, column: str, counts: Sequence[tuple[Any, int]]) -> None:
+        """Add the counts of the texts of a column; those of reasons are mappings."""
+        if column == "reasons":
+            self.reasons = merged([self.reasons, grouped((reason_of(**fields), count) for fields, count in counts)])
+        else:
+            (self.missing if column == "missing" else self.categories[column]).update(dict(counts))
