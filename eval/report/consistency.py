@@ -182,13 +182,12 @@ def _kept_objects(frames: Frames) -> pl.DataFrame:
     source, columns = frames.source, _columns(OBJECT_QUANTITIES)
     if source.objects is None:
         return pl.DataFrame(schema={RUN: pl.Int64})
-    own = source.objects.filter("kept").select(*source.keys, "track_id", *columns)
+    values = pl.col("track_id").cast(pl.String), pl.col(columns).cast(pl.Float64)
     with reading_files(source.object_files):
-        rows = own.collect()
+        rows = source.objects.filter("kept").select(*source.keys, *values).collect()
     runs = frames.runs.select(source.keys).with_row_index("number")
-    return rows.join(runs, on=source.keys, maintain_order="left").select(
-        pl.col("number").alias(RUN), pl.col("track_id").cast(pl.String), pl.col(columns).cast(pl.Float64)
-    )
+    found = rows.join(runs, on=source.keys, maintain_order="left")
+    return found.select(pl.col("number").alias(RUN), "track_id", *columns)
 
 
 def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:

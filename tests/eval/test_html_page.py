@@ -206,12 +206,6 @@ def test_a_log_that_was_replayed_again_gives_no_pictures(tmp_path):
     assert "out.mcap was replayed again with another configuration" in page.text
 
 
-def test_poses_without_orientation_are_not_drawn(tmp_path):
-    still = {f"odom_{axis}_m": 0.0 for axis in "xyz"} | {f"odom_q{axis}": 0.0 for axis in "xyzw"}
-    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **still) for k in range(3)]))
-    assert "Trajectory" not in page.text
-
-
 @pytest.mark.parametrize("with_truth", [True, False])
 def test_the_position_error_is_drawn_if_there_is_truth(tmp_path, with_truth):
     def pose(prefix, x_m):

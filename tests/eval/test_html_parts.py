@@ -169,6 +169,10 @@ def write_log(path, late_ns=0, image=True, objects=None):
             ("/perception/drivable", "foxglove.CompressedImage", drivable),
         ):
             writer.write(Message(result_channel(topic, name), STAMP + late_ns, STAMP + late_ns, 0, data))
+        for number, stamp in enumerate(stamps):
+            data = encode_metrics("camera", FrameMetrics("a" * 16, number, stamp))
+            channel = result_channel("/perception/metrics", "roadperc.FrameMetrics")
+            writer.write(Message(channel, stamp + late_ns, stamp + late_ns, number, data))
     return path
 
 

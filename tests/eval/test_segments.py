@@ -7,7 +7,7 @@ import pytest
 
 from roadperc_stream.cli.report import main as report_main
 from roadperc_stream.cli.trajectory import main
-from roadperc_stream.eval.compare.agreement import compare_tables
+from roadperc_stream.eval.compare.fields import compare_tables
 from roadperc_stream.eval.compare.pairing import logged_runs, pair_runs
 from roadperc_stream.eval.html.charts import POSE_COLUMNS, paths, trajectory
 from roadperc_stream.eval.html.figures import load_series
