@@ -13,9 +13,8 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
 from roadperc_stream.system.time import NS_PER_S, ns_to_seconds, seconds_to_ns
 
-from ..dataset.keys import LOG
+from ..dataset.keys import LOG, LogKey
 from ..dataset.reading import reading_files
-from ..dataset.worst import LogKey
 from ..expressions import on_empty_rows, parsed, similar
 from ..runs import Run
 from ..scan import SEGMENT
