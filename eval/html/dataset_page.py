@@ -18,7 +18,7 @@ from ..dataset.place import DONE, Dataset
 from ..findings import findings_of_dataset, report_lines
 from ..report.dataset_lines import settings_of_dataset
 from ..report.grouping import configuration_columns, grouped_frames
-from ..report.sources import Source, load
+from ..report.sources import FrameSource, load
 from ..report.stages import stages_of
 from ..report.summaries import summarise
 from ..report.worst_logs import WorstLogs
@@ -47,7 +47,7 @@ class BadLog:
     size: float
 
 
-def write_dataset_page(target: Path, dataset: Dataset, source: Source, runs: pl.DataFrame) -> None:
+def write_dataset_page(target: Path, dataset: Dataset, source: FrameSource, runs: pl.DataFrame) -> None:
     """Write the page to a ``.html`` or ``.htm`` file, and the pages of logs to the folder ``NAME_logs``.
 
     The dataset is in a local folder; ``source`` are its frames and ``runs`` its list of runs.

@@ -15,7 +15,7 @@ from ..expressions import as_key, key_name, require_roots, roots
 from ..report_columns import percent
 from ..results import Results
 from .grouping import group_name, require_few
-from .sources import Source
+from .sources import FrameSource
 from .stages import LISTED
 
 _LOG: Final = "log"
@@ -23,13 +23,13 @@ _CLASS: Final = "class"
 OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {_CLASS}
 
 
-def of_objects(by: Sequence[str], source: Source) -> bool:
+def of_objects(by: Sequence[str], source: FrameSource) -> bool:
     """Whether an expression reads a column that only the table of objects has."""
     others = {*source.rows.collect_schema(), *source.facts.columns, _LOG}
     return any(name in OBJECT_COLUMNS - others for text in by for name in roots(text))
 
 
-def object_slices(source: Source, by: Sequence[str]) -> Results:
+def object_slices(source: FrameSource, by: Sequence[str]) -> Results:
     """The errors of the distances of kept detections in each slice, the largest p95 first.
 
     Raises:

@@ -47,7 +47,7 @@ from .dataset_lines import (
 from .full_tables import LISTED, accuracy, full_tables, latency, missing_outputs, worst_frames
 from .grouping import configuration_columns, grouped_frames
 from .objects import object_slices, of_objects
-from .sources import Frames, Source, load, source_of_dataset, source_of_runs
+from .sources import Frames, FrameSource, load, source_of_dataset, source_of_runs
 from .stages import (
     COLUMNS,
     NO_TRUTH,
@@ -85,7 +85,7 @@ class Subject:
     ``findings`` are those of the runs, and ``notes`` are lines on them. ``columns`` is the width of a name.
     """
 
-    source: Source
+    source: FrameSource
     findings: Found
     notes: Sequence[str]
     columns: int

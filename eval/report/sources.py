@@ -46,7 +46,7 @@ Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Source:
+class FrameSource:
     """The rows of metrics tables with all their columns, those of a report, and ``log`` or ``FILE``.
 
     ``keys`` identify the run of a row. ``facts`` has a row for each known run: ``keys``, its name as ``log``, its
@@ -87,14 +87,14 @@ class Source:
             yield from rows.collect_batches(chunk_size=_ROWS, maintain_order=True, engine="streaming")
 
 
-def source_of_runs(runs: Sequence[Run]) -> Source:
+def source_of_runs(runs: Sequence[Run]) -> FrameSource:
     """The frames of runs."""
     rows = [_rows_of_run(number, run) for number, run in enumerate(runs)]
     tables = [(number, table) for number, run in enumerate(runs) for table in run.tables]
     objects = [objects_of(runs[k].name, t, t.objects).with_columns(_number(k)) for k, t in tables if t.objects]
     facts = [(k, run.name, run.version, run.mounting_height_m) for k, run in enumerate(runs)]
     kinds = {RUN: pl.Int32, "log": pl.String, "version": pl.String, "mounting_height_m": pl.Float64}
-    return Source(
+    return FrameSource(
         pl.concat(rows, how="diagonal_relaxed"),
         (RUN,),
         pl.DataFrame(facts, kinds, orient="row"),
@@ -114,7 +114,7 @@ def _number(number: int) -> pl.Expr:
     return pl.lit(number, pl.Int32).alias(RUN)
 
 
-def source_of_dataset(dataset: Dataset, runs: pl.DataFrame) -> Source:
+def source_of_dataset(dataset: Dataset, runs: pl.DataFrame) -> FrameSource:
     """The frames of a dataset in a local folder, and its list of ``runs``.
 
     Raises:
@@ -132,7 +132,7 @@ def source_of_dataset(dataset: Dataset, runs: pl.DataFrame) -> Source:
     names = log_names(known["log_id"].unique(maintain_order=True), known)
     facts = known.with_columns(pl.col("log_id").replace_strict(names, return_dtype=pl.String).alias("log"))
     title = "the metrics tables or of runs.parquet"
-    return Source(rows, LOG, facts, files, title, scan_objects(dataset, runs), object_files(dataset), many=True)
+    return FrameSource(rows, LOG, facts, files, title, scan_objects(dataset, runs), object_files(dataset), many=True)
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class Frames:
     ``keys`` has the values of the expressions that may change within a run.
     """
 
-    source: Source
+    source: FrameSource
     run: Numbers
     segment: Numbers
     frame: Numbers
@@ -186,7 +186,7 @@ class Frames:
         return self.source.collect(*finite(stored)).with_columns(**own)
 
 
-def load(source: Source, by: Sequence[str] = ()) -> Frames:
+def load(source: FrameSource, by: Sequence[str] = ()) -> Frames:
     """The frames of a source, and the values of the expressions ``by``.
 
     Raises:
@@ -221,7 +221,7 @@ def load(source: Source, by: Sequence[str] = ()) -> Frames:
     )
 
 
-def of_runs(source: Source, expression: str) -> bool:
+def of_runs(source: FrameSource, expression: str) -> bool:
     """Whether the facts of the runs have all columns of an expression, so that it is equal in all frames of a run."""
     return {*source.facts.columns} >= {*roots(expression)}
 
@@ -264,7 +264,7 @@ def _extents(rows: pl.DataFrame) -> pl.DataFrame:
     return found.drop(SEGMENT)
 
 
-def _facts(source: Source, runs: pl.DataFrame, pieces: pl.DataFrame, segments: pl.DataFrame) -> pl.DataFrame:
+def _facts(source: FrameSource, runs: pl.DataFrame, pieces: pl.DataFrame, segments: pl.DataFrame) -> pl.DataFrame:
     """A row for each of the ``runs``, for ``Frames``; ``pieces`` are the series of rows of one run in one file.
 
     Raises:
