@@ -1,6 +1,6 @@
 """Resilience and error under corruptions, as Robo3D defines them, and the curves of each metric by severity.
 
-FrameSource: Kong et al., "Robo3D: Towards Robust and Reliable 3D Perception against Corruptions", ICCV 2023, section 4.
+Source: Kong et al., "Robo3D: Towards Robust and Reliable 3D Perception against Corruptions", ICCV 2023, section 4.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
