@@ -3,6 +3,7 @@
 ``make cluster`` runs all tests; `make test-long` runs a batch on a local Ray.
 """
 
+import os
 import signal
 import subprocess
 import sys
@@ -46,7 +47,8 @@ def started_batch(*arguments):
 def test_a_batch_from_outside_by_ray_client(two_machines, tmp_path):
     """A task that asks for more memory than any machine has gets the largest for itself."""
     source = write_log(tmp_path / "log.mcap")
-    done = batch(tmp_path / "out", source, "--ray", two_machines.client_address, "--memory", "900TB")
+    address = two_machines.client_address
+    done = batch(tmp_path / "out", source, "--ray", address, "--memory", "900TB", env=os.environ)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     assert_as_single(tmp_path / "out", source, tmp_path)
 
