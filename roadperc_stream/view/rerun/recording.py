@@ -1,5 +1,6 @@
 """Sends a log to a Rerun viewer or writes it as a recording, message by message."""
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -102,12 +103,19 @@ def save_recording(
             recording.save(temporary)
             exported = _export(recording, runs, progress, shown, arrange_early=False)
             recording.disconnect()
-            RrdReader(temporary).store()  # the SDK does not report a write that failed; without its end a file has none
+            _check(temporary)
         except RuntimeError as error:  # raised by the SDK
             raise TargetError(f"{target}: the recording is incomplete; check the free disk space") from error
         finally:
             recording.disconnect()
     return exported
+
+
+def _check(path: Path) -> None:
+    """Read the end of a recording, because the SDK does not report a write that failed (RuntimeError)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the reader warns of a file without its end
+        RrdReader(path).store()
 
 
 _Run = tuple[LogSummary, RoleAssignment]
