@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from roadperc_stream.cli.completers import LOGS, files
-from roadperc_stream.cli.launch import EXIT_UNDECIDED, run
+from roadperc_stream.cli.launch import run
 from roadperc_stream.cli.options import add, add_shared, command_parser, parse
 
 _EXAMPLE = """\
@@ -39,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
         arguments.topic,
         arguments.force,
     )
-    return run(lambda: bisect(options), EXIT_UNDECIDED)
+    return run(lambda: bisect(options), "bisect")
 
 
 def _parser() -> argparse.ArgumentParser:

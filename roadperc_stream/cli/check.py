@@ -5,7 +5,7 @@ from pathlib import Path
 
 from roadperc_stream.cli.arguments import result_files_of
 from roadperc_stream.cli.completers import RUNS, files
-from roadperc_stream.cli.launch import EXIT_UNDECIDED, run
+from roadperc_stream.cli.launch import run
 from roadperc_stream.cli.options import add, add_result_files, add_shared, command_parser, parse
 
 _EXAMPLE = """\
@@ -42,8 +42,8 @@ def main(argv: list[str] | None = None) -> int:
 
     runs, path, criteria = arguments.runs, arguments.init, arguments.criteria or DEFAULT_CRITERIA
     if path is not None:
-        return run(lambda: init_criteria(runs, path, force=arguments.force), EXIT_UNDECIDED)
-    return run(lambda: check(runs, criteria, result_files_of(arguments)), EXIT_UNDECIDED)
+        return run(lambda: init_criteria(runs, path, force=arguments.force), "check")
+    return run(lambda: check(runs, criteria, result_files_of(arguments)), "check")
 
 
 def _require_one_task(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:

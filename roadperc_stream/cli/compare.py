@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from roadperc_stream.cli.arguments import result_files_of
 from roadperc_stream.cli.completers import RUNS, files
-from roadperc_stream.cli.launch import EXIT_UNDECIDED, run
+from roadperc_stream.cli.launch import run
 from roadperc_stream.cli.options import add, add_result_files, command_parser, parse
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
     from roadperc_stream.eval.compare.compare import compare
 
     sides, options = (arguments.base, arguments.new), _options(arguments)
-    return run(lambda: compare(*sides, options, result_files_of(arguments)), EXIT_UNDECIDED)
+    return run(lambda: compare(*sides, options, result_files_of(arguments)), "compare")
 
 
 def _options(arguments: argparse.Namespace) -> "CompareOptions":

@@ -12,7 +12,7 @@ from importlib import import_module
 from io import TextIOWrapper
 
 from roadperc_stream.errors import RegressionError, RoadpercError
-from roadperc_stream.system.process import discard_output, ending_signals, interrupt, optional_output
+from roadperc_stream.system.process import PipeOutput, discard_output, ending_signals, interrupt, optional_output
 from roadperc_stream.system.text import print_line
 
 COMMANDS = {
@@ -43,12 +43,17 @@ _JUDGING = ("bisect", "check", "compare")
 """Commands whose exit code 1 is a result."""
 
 
-def run(command: Callable[[], int | None], error_code: int = EXIT_ERROR) -> int:
-    """Run a command, and return its exit code.
+def _error_code(name: str) -> int:
+    """The exit code of an error in a command."""
+    return EXIT_UNDECIDED if name in _JUDGING else EXIT_ERROR
 
-    An error of the project or the system is one line on stderr and ``error_code``. So is a signal, which raises
-    KeyboardInterrupt so that partial files are removed. A ``RegressionError`` is a result: one line and exit code 1.
-    Output without a reader, as after ``head``, is no error.
+
+def run(command: Callable[[], int | None], name: str = "") -> int:
+    """Run a command, and return its exit code; ``name`` is needed if exit code 1 is one of its results.
+
+    An error of the project or the system is one line on stderr and exit code 1, or 3 if 1 is a result. So is a signal,
+    which raises KeyboardInterrupt so that partial files are removed. A ``RegressionError`` is a result: one line and
+    exit code 1. Output without a reader, as after ``head``, is no error.
     """
     gc.freeze()
     gc.enable()
@@ -59,11 +64,12 @@ def run(command: Callable[[], int | None], error_code: int = EXIT_ERROR) -> int:
             code = _code_of(command)
     except RegressionError as error:
         _print_error(str(error))
+        _discard_unwritable()
         return EXIT_ERROR
     except (RoadpercError, KeyboardInterrupt, MemoryError, OSError, UnicodeEncodeError) as error:
         _print_error(f"error: {_text_of(error)}")
         _discard_unwritable()
-        return error_code
+        return _error_code(name)
     return code
 
 
@@ -114,14 +120,13 @@ def _launch(command: str) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the shell, as with ``>&-``
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
-    if isinstance(sys.stdout, TextIOWrapper):  # characters that the encoding lacks become \udcff, as on stderr
-        sys.stdout.reconfigure(errors="backslashreplace")
-    error_code = EXIT_UNDECIDED if command in _JUDGING else EXIT_ERROR
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout = PipeOutput.of(sys.stdout)
     try:
-        code = run(partial(_imported, command), error_code)
+        code = run(partial(_imported, command), command)  # also an error of the imports, before the command calls it
     except Exception:
         sys.excepthook(*sys.exc_info())
-        code = error_code
+        code = _error_code(command)
     if code and any(not thread.daemon for thread in threading.enumerate()[1:]):
         os._exit(code)  # the interpreter would wait for a thread of a library that may never end
     return code

@@ -5,7 +5,8 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO, Final, TextIO
+from io import TextIOWrapper
+from typing import IO, Final, Self, TextIO
 
 
 def ending_signals() -> list[int]:
@@ -37,6 +38,33 @@ def discard_output(stream: IO[str]) -> None:
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
+
+
+class PipeOutput(TextIOWrapper):
+    """Text output that goes on without a reader, as after ``head``: the rest is discarded."""
+
+    @classmethod
+    def of(cls, stream: TextIOWrapper) -> Self:
+        r"""The output of a stream; characters that its encoding lacks become ``\udcff``, as on stderr."""
+        stream.flush()
+        buffer = open(stream.fileno(), "wb", closefd=False)  # noqa: SIM115
+        lines = stream.line_buffering or stream.write_through
+        return cls(buffer, stream.encoding, "backslashreplace", line_buffering=lines)
+
+    def write(self, text: str) -> int:
+        """Write or discard a text."""
+        try:
+            return super().write(text)
+        except BrokenPipeError:
+            discard_output(self)
+            return len(text)
+
+    def flush(self) -> None:
+        """Write or discard the buffered text."""
+        try:
+            super().flush()
+        except BrokenPipeError:
+            discard_output(self)
 
 
 _TRIM_THRESHOLD: Final = -1

@@ -118,3 +118,17 @@ def test_an_error_of_a_command_names_its_option(tmp_path):
     assert ended.stderr.endswith("run.mcap: exists; pass --force to overwrite it\n")
     with pytest.raises(TargetError, match=r"run\.mcap: exists; pass force=True to overwrite it$"):
         api.replay(SAMPLE, tmp_path / "run.mcap", max_frames=1)
+
+
+@pytest.mark.parametrize("buffering", ["", "1"], ids=["buffered", "unbuffered"])
+def test_a_result_without_a_reader_keeps_its_exit_code(tmp_path, buffering):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(SAMPLE.read_bytes()[:100_000])
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w") as closed:
+        options = {"env": environment(PYTHONUNBUFFERED=buffering), "capture_output": False, "stderr": subprocess.PIPE}
+        piped = run_command("roadperc-info", cut, stdout=closed, **options)
+        kept = run_command("roadperc-info", cut, stdout=subprocess.PIPE, **options)
+    assert (piped.returncode, piped.stderr) == (kept.returncode, kept.stderr)
+    assert kept.returncode == 1
