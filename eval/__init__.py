@@ -1,1 +1,1 @@
-"""Reads finished outputs: reports and comparisons."""
+"""Evaluates finished runs: reports, comparisons, checks and scores."""

@@ -49,7 +49,7 @@ class StateError(RoadpercError):
 
 
 class DumpError(RoadpercError):
-    """A dump folder that cannot be converted."""
+    """A dump, dataset, video or calibration that cannot be converted."""
 
 
 class TableError(RoadpercError):

@@ -1,1 +1,1 @@
-"""Makes input logs: converting and rendering dumps."""
+"""Makes input logs: converts, renders, degrades, and adds the outputs of networks."""

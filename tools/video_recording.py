@@ -1,4 +1,4 @@
-"""Videos of one camera as a recording: one file, or the files of a folder as parts of one drive."""
+"""Videos of one camera as a recording: one file, or all files of a folder."""
 
 import re
 from collections.abc import Iterator, Sequence

@@ -35,7 +35,7 @@ class LockHolder:
 
     @property
     def has_ended(self) -> bool:
-        """Whether its process has certainly ended; of another machine nobody knows."""
+        """Whether its process has certainly ended; always False for a process of another machine."""
         if self.host != socket.gethostname():
             return False
         try:

@@ -20,7 +20,7 @@ example:
   roadperc-convert dashcam/ drive.mcap --calibration ost.yaml
 
 videos:
-  A video, or a folder of videos: parts of one drive, in the order of their names. The stamps are those of the video.
+  A video, or a folder of videos: files of one log, in the order of their names. The stamps are those of the video.
   Each frame is stored as JPEG, upright. Without a calibration of the camera, pass --fov.
 
 datasets:

@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         "quiet",
         recover="replay the readable part of a damaged log and report the losses",
         threads="number of threads, at most 5 (default: one per core); the results do not depend on it",
-        force="replace an existing result; a recording is never replaced",
+        force="replace an existing result; an input log is never replaced",
     )
     add_serving(parser)
     _add_settings(parser.add_argument_group("print the settings (without IN.mcap and OUT.mcap)"))

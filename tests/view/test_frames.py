@@ -96,6 +96,8 @@ def test_two_runs_are_in_one_recording(folder, tmp_path):
 
 
 def test_differences_are_those_of_the_tables(folder):
-    for found in find_differences(folder / "base.mcap", folder / "new.mcap"):
+    differences = find_differences(folder / "base.mcap", folder / "new.mcap")
+    assert "surface_inlier_ratio" in {found.name for found in differences}
+    for found in differences:
         base, new = (pl.read_parquet(folder / f"{name}.metrics.parquet")[found.name] for name in ("base", "new"))
         assert max(abs((new.abs() - base.abs()).drop_nulls())) == pytest.approx(max(abs(found.values)))

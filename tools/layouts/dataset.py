@@ -118,7 +118,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Layout:
-    """How the folders of a dataset are detected and read; each module of this package has one as ``LAYOUT``."""
+    """How the folders of a dataset are detected and read; the module of each dataset has one as ``LAYOUT``."""
 
     read: Callable[[Request], DatasetSequence]
     """Reads documents and the headers of files. Images, depths, masks and points are read while the log is written.

@@ -62,7 +62,7 @@ LAYOUT: Final = Layout(
     _read,
     ("--role", "--tags", "--fov", "--rate", "--allow-lossy-tags", "--depth-coding", "--calibration", "--height"),
     detect=lambda _: True,
-    refusal="chooses among the sequences of a dataset, and this is none",
+    refusal="chooses a sequence of a dataset, and this is a dump",
 )
 
 

@@ -1,6 +1,6 @@
 """Serves finished logs and running replays to Foxglove with play, pause, seek and speed.
 
-``cli.arguments`` parses the options below.
+``cli.arguments`` reads the options below from a command line.
 """
 
 from dataclasses import dataclass

@@ -38,7 +38,7 @@ class ServeError(RoadpercError):
 
 
 def serve_log(file: log.AnyLog, options: PlaybackOptions, *, quiet: bool = False) -> None:
-    """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``plumbing.run`` turns into Ctrl-C.
+    """Serve a finished log to Foxglove until Ctrl-C or SIGTERM, which ``cli.launch`` turns into Ctrl-C.
 
     Raises:
         LogError: the log is unreadable or has no messages, or ``--start`` is outside it.

@@ -98,7 +98,7 @@ class Growth:
         return Growth(later, self.jitter)
 
     def after(self, stamp_ns: int, box: Box, edge_std_px: tuple[float, float], gate: float) -> "Growth":
-        """The predicted growth after a box; a box beyond the gate starts anew, because another part is visible."""
+        """The predicted growth after a box; a box beyond the gate restarts it, because another part is visible."""
         size, std = _log_size(box, edge_std_px)
         if self.size.surprise(size, std) > gate:
             return Growth.of_first(stamp_ns, box, edge_std_px)
