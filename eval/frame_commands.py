@@ -15,7 +15,8 @@ def view_pair_command(base: Run, new: Run, frame: int) -> str:
     """The command that shows one frame of two runs side by side."""
     arguments = dict.fromkeys(_argument(run, frame) for run in (base, new))
     configs = dict.fromkeys(run.dataset[1] for run in (base, new) if run.dataset)
-    return _command(arguments, base.name if configs else "", configs, frame)
+    log = base.name.removesuffix(f" {base.dataset[1]}") if base.dataset else ""  # as among several configurations
+    return _command(arguments, log, configs, frame)
 
 
 def view_dataset_command(address: str, log: str, frame: int, config: str = "") -> str:

@@ -94,7 +94,8 @@ class Results:
 
     def _markdown(self) -> str:
         """A heading, a list of the lines, and the tables."""
-        lines = "\n".join(f"- {markdown_text(line)}" for line in (*self.head, *self.tail))
+        texts = (part for part in self.tables if isinstance(part, str) and part)
+        lines = "\n".join(f"- {markdown_text(line)}" for line in (*self.head, *texts, *self.tail))
         tables = (table.markdown() for table in self.tables if isinstance(table, Table))
         return "\n\n".join(filter(None, (f"## {markdown_text(self.title)}", lines, *tables))) + "\n"
 

@@ -26,8 +26,8 @@ from .ranking import METRICS, Scored, SettingScore, SweepMetric, best, effect, s
 LEGEND: Final = (
     "scores: median of absolute values, for shares the mean; frames %: those with a value",
     "best: among the settings with the highest coverage; lower coverage: better, but in fewer frames",
-    "time: only for comparing settings, because several replays run at a time",
 )
+UNTIMED: Final = "times are not compared, because several replays run at a time; pass --jobs 1"
 CURVES: Final = "curves.svg"
 
 
@@ -97,7 +97,8 @@ def _print(options: SweepOptions, files: ResultFiles, made: Sequence[Combination
     """Print the best settings or the effect of corruptions, and write them to the files for other programs."""
     folder = options.out
     tables_found = sorted(folder.rglob(f"*{METRICS_SUFFIX}"))
-    judged = [metric for metric in METRICS if not (options.degraded and metric.noise)]
+    is_timed = options.jobs == 1 and not options.degraded
+    judged = [metric for metric in METRICS if is_timed or not metric.noise]
     found = [(metric, scores(tables_found, made, metric)) for metric in judged]
     heading = f"{len(tables_found)} tables in {folder}: {len(made)} settings, reference {reference}"
     values = {key: dict.fromkeys(shown(item.settings[key]) for item in made) for key in reference.settings}
@@ -113,9 +114,9 @@ def _print(options: SweepOptions, files: ResultFiles, made: Sequence[Combination
     else:
         tables = (best_settings(found, made, reference), *(effects(found, made, key) for key in reference.settings))
         idle = [f"{key} changed nothing" for key in without_influence(folder, tables_found, made)]
-        notes = [*idle, without_effect(found), *LEGEND]
+        notes = [*idle, without_effect(found), *LEGEND, *([] if is_timed else [UNTIMED])]
     cases, tail = [_case(scored, made, reference) for scored in found], list(filter(None, notes))
-    results = Results("sweep", f"Sweep: {folder}", (heading, *taken), tables, tail, as_json, cases)
+    results = Results("sweep", f"Sweep: {folder}", (heading, *taken), (*tables, "", *tail), (), as_json, cases)
     results.write(files)
     results.print(console_for(sys.stdout))
 
