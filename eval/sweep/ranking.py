@@ -16,9 +16,10 @@ import polars as pl
 from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
-from ..report_columns import SIDES, TOTAL, TRUTH, Quantity
+from ..compare.metrics import METRICS as COMPARED
+from ..report_columns import JITTERS, SIDES, TOTAL, TRUTH, Quantity
 from ..runs import reading
-from ..scan import finite
+from ..scan import finite, neighbour_columns
 from .combinations import Combination
 
 COVERAGE_SLACK: Final = 0.01
@@ -71,27 +72,34 @@ def _typical(quantity: Quantity) -> SweepMetric:
     return SweepMetric(quantity, finite([quantity.column])[0], score)
 
 
-def _jitter(side: str) -> SweepMetric:
-    """Standard deviation of the smoothed offset's second difference, held frames included."""
-    quantity = Quantity(f"lane_{side}_offset_m", f"lane {side} jitter", "m", 4)
-    second_difference = finite([quantity.column])[0].diff().diff().over(_TABLE)
-    return SweepMetric(quantity, second_difference, pl.col("value").std(ddof=0))
+def _jitter(quantity: Quantity) -> SweepMetric:
+    """Standard deviation of the smoothed offset's second difference, as the report computes it."""
+    (column,) = (column for column in neighbour_columns() if column.meta.output_name() == quantity.column)
+    value = column.over(_TABLE)
+    return SweepMetric(quantity, pl.when(value.is_finite()).then(value), pl.col("value").std(ddof=0))
 
 
-def _share(column: str, name: str) -> SweepMetric:
-    """The share of frames with a value."""
+def _share(column: str, name: str, holds: pl.Expr | None = None) -> SweepMetric:
+    """The share of frames in which an expression holds, by default of those with a value."""
     quantity = Quantity(column, name, RATIO, 3, better="high")
-    return SweepMetric(quantity, finite([column])[0].is_not_null().cast(pl.Float64), pl.col("value").mean())
+    known = finite([column])[0].is_not_null() if holds is None else holds
+    return SweepMetric(quantity, known.cast(pl.Float64), pl.col("value").mean())
+
+
+def _state(column: str, state: str, name: str) -> SweepMetric:
+    """The share of frames with a state, as ``roadperc-compare`` judges it."""
+    (metric,) = (metric for metric in COMPARED if metric.name == f"{column}.{state}")
+    return _share(column, name, metric.value)
 
 
 METRICS: Final = (
     *(_typical(quantity) for quantity in TRUTH),
     _share("camera_height_m", "surface coverage"),
     _share("drivable_ratio", "drivable coverage"),
-    *(_share(f"lane_{side}_raw_offset_m", f"lane {side} measured") for side in SIDES),
+    *(_state(f"lane_{side}_status", "measured", f"lane {side} measured") for side in SIDES),
     *(_share(f"lane_{side}_offset_m", f"lane {side} coverage") for side in SIDES),
-    *(_jitter(side) for side in SIDES),
-    _share("step_m", "odometry tracked"),
+    *(_jitter(quantity) for quantity in JITTERS if "raw" not in quantity.column),
+    _state("odometry_status", "tracked", "odometry tracked"),
     replace(_typical(replace(TOTAL, name="time a frame", decimals=0)), noise=TIME_NOISE),
 )
 """The errors against truth, and the metrics that need no truth."""

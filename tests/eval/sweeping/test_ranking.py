@@ -16,6 +16,7 @@ ERROR = next(metric for metric in METRICS if metric.quantity.column == "lane_lef
 OVERLAP = next(metric for metric in METRICS if metric.quantity.column == "drivable_iou")
 JITTER = next(metric for metric in METRICS if metric.quantity.name == "lane left jitter")
 MEASURED = next(metric for metric in METRICS if metric.quantity.name == "lane left measured")
+TRACKED = next(metric for metric in METRICS if metric.quantity.name == "odometry tracked")
 TIME = next(metric for metric in METRICS if metric.quantity.column == "total_ms")
 
 
@@ -47,13 +48,28 @@ def test_scores_are_medians_of_the_absolute_error_with_coverage(tmp_path):
     assert found == [SettingScore(0.2, 1.0), SettingScore(0.2, pytest.approx(2 / 3)), SettingScore(None, 0.0)]
 
 
-def test_jitter_does_not_cross_logs(tmp_path):
+def test_jitter_does_not_cross_logs_or_lane_changes(tmp_path):
     """The second differences of a parabola are equal, with deviation 0; those of a kink are 0 and 1."""
     rows = [
-        [{"lane_left_offset_m": offset} for offset in offsets] for offsets in ((0, 1, 4, 9), (0, 0, 0, 1), (5, 5, 5, 5))
+        [
+            {"lane_left_offset_m": offset, "lane_left_raw_offset_m": offset, "lane_changes": int(k > 3)}
+            for k, offset in at
+        ]
+        for at in map(enumerate, ((0, 1, 4, 9, 40), (0, 0, 0, 1, 7), (5, 5, 5, 5, 8)))
     ]
     files = dataset(tmp_path, rows)
-    assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.5), SettingScore(0.5, 0.5), SettingScore(0.0, 0.5)]
+    assert scores(files, GATES, JITTER) == [SettingScore(0.0, 0.4), SettingScore(0.5, 0.4), SettingScore(0.0, 0.4)]
+
+
+def test_measured_and_tracked_are_shares_of_the_status(tmp_path):
+    """A held boundary may have a raw offset, and a tracked frame no scale."""
+    statuses = ("measured", "held", "lost", None)
+    rows = [
+        {"lane_left_status": status, "lane_left_raw_offset_m": 1.0, "odometry_status": "tracked"} for status in statuses
+    ]
+    files = dataset(tmp_path, [rows] * 3)
+    assert scores(files, GATES, MEASURED) == [SettingScore(0.25, 1.0)] * 3
+    assert scores(files, GATES, TRACKED) == [SettingScore(1.0, 1.0)] * 3
 
 
 @pytest.mark.parametrize(
