@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from .report_columns import listed
+from roadperc_stream.system.text import listed
+
 from .runs import Run, find_runs
 
 _LISTED: Final = 12

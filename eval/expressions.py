@@ -11,9 +11,8 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.system.text import nearest
+from roadperc_stream.system.text import listed, nearest
 
-from .report_columns import listed
 from .runs import first_line
 
 _ROWS: Final = 2

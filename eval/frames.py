@@ -9,12 +9,11 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import FrameMetrics, columns_of
-from roadperc_stream.system.text import nearest
+from roadperc_stream.system.text import listed, nearest
 
 from .dataset.keys import LOG, LogKey, config_named, log_names, settings_by_config
 from .dataset.pairs import in_a_folder, runs_of_logs
 from .dataset.place import DONE, Dataset, dataset_at, read_runs
-from .report_columns import listed
 from .runs import Run, collect, find_runs
 from .scan import rows_of
 

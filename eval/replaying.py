@@ -29,11 +29,10 @@ from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import not_a_log, scratch_folder
 from roadperc_stream.system.progress import Progress, no_progress
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
 
-from .report_columns import listed
 from .runs import Run, collect
 from .scan import rows_of
 

@@ -136,8 +136,8 @@ _BETTER: Final[Mapping[str, Better]] = {
 }
 QUALITY: Final = tuple(replace(q, better=_BETTER[q.column]) for q in (*SEEN, *JITTERS) if q.column in _BETTER)
 """Quantities that describe a stage without truth."""
-RANKED: Final = (*TRUTH, *SUSPECT, *QUALITY)
-"""Quantities for rankings of frames and logs."""
+RANKED: Final = {quantity.column: quantity for quantity in (*TRUTH, *SUSPECT, *QUALITY)}
+"""Quantities for rankings of frames and logs, by column."""
 COVERED: Final = {
     "surface": "surface measured",
     "drivable": "drivable_ratio",
@@ -172,6 +172,11 @@ def rounded(value: float, quantity: Quantity) -> str:
     return f"{value:z.{quantity.decimals}f}"
 
 
+def with_unit(value: float, quantity: Quantity) -> str:
+    """A value with its unit."""
+    return f"{rounded(value, quantity)}{'' if quantity.unit in UNITLESS else f' {quantity.unit}'}"
+
+
 def name_columns(console: Console) -> int:
     """Width for a run's name."""
     return console.width - _NUMBERS_COLUMNS
@@ -190,12 +195,6 @@ def short_names(names: Sequence[str], columns: int) -> dict[str, str]:
 def legend(names: Mapping[str, str]) -> Iterator[str]:
     """A line for each shortened name."""
     yield from (f"{short}: {name}" for name, short in names.items() if short != name)
-
-
-def listed(names: Sequence[str], most: int = 6) -> str:
-    """The first names in one line, and the number of further ones."""
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _cut(name: str, columns: int) -> str:

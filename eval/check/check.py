@@ -14,13 +14,12 @@ from roadperc_stream.errors import RegressionError, TableError
 from roadperc_stream.output.terminal import console_for, print_lines
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.system.process import optional_output
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..continued import find_joined
 from ..criteria import DEFAULT_CRITERIA, read_criteria
 from ..dataset.pairs import all_runs, in_a_folder
 from ..dataset.place import DONE, dataset_at, read_runs
-from ..report_columns import listed
 from ..results import Case, Outcome, ResultFiles, Results
 from ..runs import Run
 from .judging import Result, judge

@@ -8,11 +8,11 @@ from typing import Final
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.system.files import completing, require_free
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..compare.metrics import COVERAGE_RELEVANT, METRICS, Metric
 from ..criteria import Criterion
-from ..report_columns import listed, percent
+from ..report_columns import percent
 from ..runs import Run
 from .judging import Result, judge
 

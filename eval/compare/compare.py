@@ -11,13 +11,12 @@ from roadperc_stream.errors import RegressionError, TableError
 from roadperc_stream.output.terminal import console_for
 from roadperc_stream.system.files import METRICS_SUFFIX, TABLE_SUFFIX, completing
 from roadperc_stream.system.process import optional_output
-from roadperc_stream.system.text import number, print_line
+from roadperc_stream.system.text import listed, number, print_line
 
 from ..criteria import effects
 from ..dataset.pairs import in_a_folder, runs_of_config, runs_of_configs
 from ..dataset.place import Dataset, dataset_at
 from ..options import Rules
-from ..report_columns import listed
 from ..results import ResultFiles
 from ..runs import Run
 from .comparison import compare_runs

@@ -11,11 +11,11 @@ from rich.console import Console
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..configurations import UNKNOWN, short_digest
 from ..frame_commands import view_pair_command
-from ..report_columns import QUALITY, SEEN, listed
+from ..report_columns import QUALITY, SEEN
 from ..results import Case, Outcome, ResultFiles, Results
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparison import CauseGroup, Comparison

@@ -136,16 +136,16 @@ def date_of(file: pl.Expr) -> pl.Expr:
 def read_runs(dataset: Dataset) -> pl.DataFrame:
     """The newest row of each log and configuration, in the order in which they were finished.
 
-    A log that could not be read has a row without ``log_id``; a later row for its path replaces it. Columns that the
-    files lack are null. The result is empty if there is no list.
+    A log that could not be read has a row without ``log_id``; a later row for its path replaces it. The result
+    is empty if there is no list.
 
     Raises:
-        TableError: a file cannot be read, or is not a list of runs.
+        TableError: the list cannot be read, or is not a list of runs.
     """
-    parts = [part for name in (RUNS, "runs/*.parquet") if (part := _run_rows(dataset, name)) is not None]
-    if not parts:
+    rows = _run_rows(dataset)
+    if rows is None:
         return pl.DataFrame(schema=RUN_COLUMNS)
-    rows = pl.concat(parts).sort("finished_ns", maintain_order=True)
+    rows = rows.sort("finished_ns", maintain_order=True)
     newest = rows.unique([pl.coalesce("log_id", "path"), "config"], keep="last", maintain_order=True)
     return _without_superseded(newest)
 
@@ -155,22 +155,15 @@ def without_file(runs: pl.DataFrame) -> pl.DataFrame:
     return runs.filter(pl.col("log_id").is_not_null(), pl.col("names").list.len() == 0)
 
 
-def _run_rows(dataset: Dataset, name: str) -> pl.DataFrame | None:
-    """The rows of the matching lists; None without any."""
-    files = dataset.tables(name)
+def _run_rows(dataset: Dataset) -> pl.DataFrame | None:
+    """The rows of the list of runs; None without a list."""
+    file = f"{dataset.address}/{RUNS}"
     try:
-        found = [_typed(file) for file in files]
+        found = pl.read_parquet(file, hive_partitioning=False, glob=False)
     except FileNotFoundError:
         return None
     except (pl.exceptions.PolarsError, OSError) as error:
-        if is_address(dataset.address) and "*" in name:  # some stores raise an error if nothing matches a pattern
-            return None
-        raise TableError(f"{dataset.address}/{name}: cannot be read as a list of runs: {first_line(error)}") from error
-    return pl.concat(found) if found else None
-
-
-def _typed(file: str) -> pl.DataFrame:
-    found = pl.read_parquet(file, hive_partitioning=False, glob=is_address(file))
+        raise TableError(f"{file}: cannot be read as a list of runs: {first_line(error)}") from error
     lacking = [column for column in RUN_COLUMNS if column not in found.columns]
     if lacking:
         raise TableError(f"{file}: is not a list of runs of this version: it has no column {lacking[0]}")

@@ -1,6 +1,6 @@
 """The page over a batch's dataset, with pages of its failed and its worst logs in a folder beside it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -16,15 +16,14 @@ from ..dataset.keys import LOG, LogKey
 from ..dataset.pairs import runs_of_logs
 from ..dataset.place import DONE, Dataset
 from ..findings import findings_of_dataset, report_lines
-from ..report.dataset_lines import settings_of_dataset
+from ..report.dataset_lines import reason_of_failure, settings_of_dataset
 from ..report.grouping import configuration_columns, grouped_frames
 from ..report.sources import FrameSource, load
 from ..report.stages import stages_of
 from ..report.summaries import summarise
 from ..report.worst_logs import WorstLogs
-from ..report_columns import Quantity
+from ..report_columns import Quantity, with_unit
 from .page import render, save, write_page
-from .pictures import shown
 from .verdict import single_sentence, size
 
 PAGES: Final = 10
@@ -106,20 +105,16 @@ def _name(log: str, config: str, several: bool) -> str:
     return f"{log} {config}" if several else log
 
 
-def _reason(failed: Mapping[str, str | None]) -> str:
-    return (failed["error"] or "no reason given").removeprefix(f"{failed['path']}: ")
-
-
 def _failed_table(failed: pl.DataFrame, several: bool) -> Table:
     rows = [
-        (_name(item["path"], item["config"], several), item["status"], _reason(item))
+        (_name(item["path"], item["config"], several), item["status"], reason_of_failure(item["path"], item["error"]))
         for item in failed.iter_rows(named=True)
     ]
     return Table("Failed logs", ("status", "error"), tuple(rows), last_is_text=True)
 
 
 def _worst_table(worst: Sequence[BadLog]) -> Table:
-    rows = [(log.name, shown(log.mean, log.quantity), f"{log.size:.0f}", log.quantity.name) for log in worst]
+    rows = [(log.name, with_unit(log.mean, log.quantity), f"{log.size:.0f}", log.quantity.name) for log in worst]
     notes = ("mean of the absolute values over the log, and its distance from a perfect value in relevant effects",)
     return Table("Worst logs", ("mean", "relevant effects", "metric"), rows, notes, last_is_text=True)
 
@@ -130,7 +125,7 @@ def _write_failed(folder: Path, failed: pl.DataFrame, several: bool) -> dict[str
     for place, item in enumerate(failed.iter_rows(named=True), 1):
         facts = [(name, _fact(item[name])) for name in _FACTS if item.get(name)]
         table = Table("Run", ("value",), tuple(facts), last_is_text=True)
-        said = f"{item['status']}: {_reason(item)}"
+        said = f"{item['status']}: {reason_of_failure(item['path'], item['error'])}"
         save(folder / f"failed_{place}.html", render([item["path"]], [("worse", said)], [], stages=table))
         links[_name(item["path"], item["config"], several)] = f"{folder.name}/failed_{place}.html"
     return links

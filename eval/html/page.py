@@ -16,7 +16,7 @@ from plotly.offline import get_plotlyjs
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import Table, values_of_subjects
 from roadperc_stream.system.files import completing, require_suffix
-from roadperc_stream.system.text import shown
+from roadperc_stream.system.text import listed, shown
 
 from ..compare.comparison import Comparison
 from ..compare.verdicts import Mark
@@ -24,18 +24,16 @@ from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
 from ..report.full_tables import full_tables
-from ..report.report import frames_in_segments
 from ..report.sources import load, source_of_runs
 from ..report.stages import stages_of
-from ..report.summaries import Summary, WorstFrame, groups_of_runs, summarise
-from ..report_columns import listed, percent
+from ..report.summaries import Summary, WorstFrame, frames_in_segments, groups_of_runs, summarise
+from ..report_columns import percent, with_unit
 from ..runs import Run
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall
 from .over_time import COLUMNS, over_time, stage_times
 from .pictures import WORST, Command, Gallery, Key, frames_of, gallery, log_of
-from .pictures import shown as shown_value
 from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence
 
 RUNS_DRAWN: Final = 8
@@ -133,7 +131,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
         bars=bars(compared) if compared else [],
         stages=stages_of(summaries),
         lead=lead,
-        ranked=[(item, shown_value(item.frame.value, item.quantity)) for item in ranked],
+        ranked=[(item, with_unit(item.frame.value, item.quantity)) for item in ranked],
         gallery=pictures,
         pictures=_pictures(pictures, {(frame.run, frame.frame) for frame in shown}),
         tables=[
@@ -166,7 +164,7 @@ def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[
         pair, stamp_ns, text = place.pair, place.stamp_ns, place_text(compared, place)
     else:
         frame, quantity = ranked[0].frame, ranked[0].quantity
-        stamp_ns, text = frame.stamp_ns, f"frame {frame.frame}: {quantity.name} {shown_value(frame.value, quantity)}"
+        stamp_ns, text = frame.stamp_ns, f"frame {frame.frame}: {quantity.name} {with_unit(frame.value, quantity)}"
         pairs = compared.pairing.pairs if compared else ()
         found = next((pair for pair in pairs if frame.run in {pair.base.name, pair.new.name}), None)
         if found is None:

@@ -16,13 +16,11 @@ from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import LogSummary, summarise
 from roadperc_stream.model import Image
 from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_results
-from roadperc_stream.schemas.columns import UNITLESS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.view.result_frames import read_frame, read_frames
 
 from ..frame_commands import view_command
 from ..report.summaries import WorstFrame
-from ..report_columns import Quantity, rounded
 from ..runs import Run, collect
 from ..scan import SEGMENT, rows_of, since_start_s
 
@@ -79,12 +77,6 @@ def frames_of(run: Run, wanted: pl.Expr) -> list[WorstFrame]:
     rows = rows_of(run).select("frame", "stamp_ns", SEGMENT).with_columns(since_start_s())
     found = collect(rows.filter(wanted), run.source_name).iter_rows(named=True)
     return [WorstFrame(run.name, run.config_digest, value=math.nan, **row) for row in found]
-
-
-def shown(value: float, quantity: Quantity) -> str:
-    """A value with its unit."""
-    unit = "" if quantity.unit in UNITLESS else f" {quantity.unit}"
-    return rounded(value, quantity) + unit
 
 
 def data_uri(image_bgr: Image) -> str:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..compare.comparison import Comparison, compare_runs
 from ..compare.pairing import pair_runs
@@ -16,7 +16,7 @@ from ..compare.verdicts import Mark, Place, Verdict
 from ..options import Rules
 from ..report.full_tables import ranked_by
 from ..report.summaries import Summary, WorstFrame
-from ..report_columns import LOST, TRUTH, Quantity, listed
+from ..report_columns import LOST, TRUTH, Quantity
 from ..runs import Run
 
 BARS: Final = 9

@@ -14,10 +14,10 @@ from roadperc_stream.output.terminal import console_for, print_parts
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.topics import LANES_TOPIC
 from roadperc_stream.system.files import real_path
-from roadperc_stream.system.text import number, whole_number
+from roadperc_stream.system.text import listed, number, whole_number
 
 from ..options import LanePairing
-from ..report_columns import listed, percent
+from ..report_columns import percent
 from .lane_files import LaneFileError, LaneFrame, default_rows, image_name, lane_writer, read_frames, read_list
 from .precision_recall import Score
 from .run_lanes import RunFrame, RunLanes, lane_frame, open_lanes

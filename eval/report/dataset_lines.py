@@ -7,12 +7,12 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.output.text_table import Row, Table
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..configurations import table_of_settings
 from ..dataset.keys import DEFAULT, LOG, in_order_of_runs, settings_by_config
 from ..dataset.place import DONE, Dataset, without_file
-from ..report_columns import listed, percent, rounded
+from ..report_columns import percent, rounded
 from .sources import Frames
 from .worst_logs import WorstLogs
 
@@ -48,9 +48,14 @@ def statuses(runs: pl.DataFrame, most: int) -> Iterator[str]:
     logs = failed.group_by("status", "path", "error", maintain_order=True).agg("config")
     for status, path, error, under in logs.head(most).iter_rows():
         where = "" if len(under) == configs else f" ({', '.join(under)})"
-        yield f"  {status}{where}: {path}: {(error or 'no reason given').removeprefix(f'{path}: ')}"
+        yield f"  {status}{where}: {path}: {reason_of_failure(path, error)}"
     if logs.height > most:
         yield f"  and {logs.height - most} more, in runs.parquet"
+
+
+def reason_of_failure(path: str, error: str | None) -> str:
+    """The error of a failed log, without its path."""
+    return (error or "no reason given").removeprefix(f"{path}: ")
 
 
 def not_listed(runs: pl.DataFrame, logs: pl.DataFrame) -> Iterator[str]:

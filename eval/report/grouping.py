@@ -46,7 +46,7 @@ def grouped_frames(frames: Frames, by: Sequence[str]) -> Groups:
         of_frames, whole = of_run[frames.run], True
     if not whole:
         require_few(distinct.height, by)
-    configs = frames.runs["configs"].unique(maintain_order=True).to_list()
+    configs = frames.runs["config"].unique(maintain_order=True).to_list()
     if frames.source.many:
         configs = in_order_of_runs(configs, frames.source.facts)
     order = sorted(range(distinct.height), key=lambda group: _place(distinct.row(group), by, configs))

@@ -15,7 +15,7 @@ from rich.console import Console
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for, print_lines
 from roadperc_stream.output.text_table import Table
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..compare.comparison import compare_runs
 from ..compare.pairing import pair_runs
@@ -29,7 +29,7 @@ from ..dataset.place import Dataset, dataset_at, metrics_files, read_runs
 from ..findings import Found, finding_counts, findings_of, findings_of_dataset, report_lines
 from ..frame_commands import view_command, view_dataset_command
 from ..options import ReportOptions, Rules
-from ..report_columns import SKEW, TRUTH, Quantity, legend, listed, name_columns, percent, short_names
+from ..report_columns import SKEW, TRUTH, Quantity, legend, name_columns, percent, short_names, with_unit
 from ..results import ResultFiles, Results
 from ..runs import Run
 from ..trajectory.trajectory import in_short
@@ -61,11 +61,10 @@ from .stages import (
     stage_figures,
     stage_table,
     values_of,
-    with_unit,
     worst_line,
     worst_of,
 )
-from .summaries import Groups, Summary, WorstFrame, groups_of_runs, summarise
+from .summaries import Groups, Summary, WorstFrame, frames_in_segments, groups_of_runs, summarise
 from .worst_logs import LeastCovered, WorstLog, WorstLogs
 
 _ROWS_LISTED: Final = 40
@@ -207,7 +206,7 @@ def _short_of_groups(subject: Subject, by: Sequence[str]) -> Results:
     renamed = [replace(summary, name=names[summary.name]) for summary in summaries]
     columns = {figures.quantity.column for s in summaries for figures in stage_figures(s, judged_stages(summaries))}
     logs = _worst_logs(subject, worst, columns)
-    lines = [f"worst log: {with_unit(abs(log['value']), quantity)}: {log['command']}" for quantity, log in logs]
+    lines = [f"worst log: {q.name} {with_unit(log['mean'], q)} on average: {log['command']}" for q, log in logs]
     lines += [latency_line(summary) for summary in summaries if len(summaries) == 1]
     return replace(
         found,
@@ -220,7 +219,7 @@ def _short_of_groups(subject: Subject, by: Sequence[str]) -> Results:
 
 def _worst_logs(subject: Subject, worst: WorstLogs, columns: Container[str]) -> list[tuple[Quantity, dict[str, Any]]]:
     """The worst log by each of a few quantities, with its worst frame; the largest multiple of a limit first."""
-    several = worst.frames.runs["configs"].n_unique() > 1
+    several = worst.frames.runs["config"].n_unique() > 1
     found = [(quantity, logs[0]) for quantity, logs in worst.by_quantity.items() if quantity.column in columns]
     ordered = sorted(found, key=lambda item: -item[1].mean / (item[0].limit or math.inf))[:_FEW]
     return [
@@ -229,6 +228,7 @@ def _worst_logs(subject: Subject, worst: WorstLogs, columns: Container[str]) -> 
             {
                 "column": quantity.column,
                 "log": (at := log.frames[0]).run,
+                "mean": log.mean,
                 **{name: value for name, value in vars(at).items() if name != "run"},
                 "command": subject.command(at, at.config if several else ""),
             },
@@ -325,11 +325,10 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
         return Results("report", "Report", [_sliced(frames, groups, by)], tables)
     ranked: list[WorstLog | LeastCovered] = list(chain.from_iterable(worst.by_quantity.values()))
     ranked += chain.from_iterable(worst.covered.values())
-    several = frames.runs["configs"].n_unique() > 1
+    several = frames.runs["config"].n_unique() > 1
     runs = dict.fromkeys(log.run for log in ranked)
     full = {
-        run: " ".join(frames.runs.row(run, named=True)[name] for name in ("log", *["configs"] * several))
-        for run in runs
+        run: " ".join(frames.runs.row(run, named=True)[name] for name in ("log", *["config"] * several)) for run in runs
     }
     short = short_names([*full.values()], subject.columns)
     shown = {run: short[name] for run, name in full.items()}
@@ -381,12 +380,6 @@ def _contents(summaries: Sequence[Summary]) -> str:
     names = {kind: {name for summary in summaries for name in getattr(summary, of)} for kind, of in kinds.items()}
     counts = ", ".join(number(len(found), kind) for kind, found in names.items())
     return f"{sum(summary.runs for summary in summaries)} runs: {counts}"
-
-
-def frames_in_segments(summary: Summary) -> str:
-    """The number of frames, and of segments if a run has several."""
-    segments = f" in {summary.segments} segments" if summary.segments > summary.runs else ""
-    return f"{number(summary.frames, 'frame')}{segments}"
 
 
 def _extents(summaries: Sequence[Summary]) -> Iterator[str]:

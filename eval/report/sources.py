@@ -17,6 +17,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import ObjectMetrics, columns_of
 from roadperc_stream.system.time import NS_PER_S
 
+from ..configurations import short_digest
 from ..dataset.keys import LOG, log_names
 from ..dataset.place import (
     DATE,
@@ -106,7 +107,7 @@ def source_of_runs(runs: Sequence[Run]) -> FrameSource:
 
 
 def _rows_of_run(number: int, run: Run) -> pl.LazyFrame:
-    named = _number(number), pl.lit(run.name).alias("log"), pl.lit(run.config_digest).alias("config")
+    named = _number(number), pl.lit(run.name).alias("log"), pl.lit(short_digest(run.config_digest)).alias("config")
     return rows_of(run).with_columns(stored_columns()).with_columns(*row_columns(), *named)
 
 
@@ -273,7 +274,7 @@ def _facts(source: FrameSource, runs: pl.DataFrame, pieces: pl.DataFrame, segmen
     files = [FILE] if FILE in pieces.columns else []
     named = pieces.group_by(RUN, maintain_order=True).agg(
         pl.col("log_id").unique(maintain_order=True).alias("log_ids"),
-        pl.first("config").alias("configs"),
+        pl.first("config"),
         *(pl.col(name).unique(maintain_order=True).alias("files") for name in files),
     )
     extents = segments.group_by(RUN, maintain_order=True).agg(
@@ -286,11 +287,11 @@ def _facts(source: FrameSource, runs: pl.DataFrame, pieces: pl.DataFrame, segmen
     found = named.hstack(extents.drop(RUN))
     twice = found.filter(pl.col("frames") > pl.col("numbers"))
     if files and twice.height:
-        (log_id,), config, of_run = twice.select("log_ids", "configs", "files").row(0)
+        (log_id,), config, of_run = twice.select("log_ids", "config", "files").row(0)
         where = " and ".join(of_run[:2])
         raise TableError(f"log {log_id}, configuration {config}: has the same frames twice, in {where}; remove one")
     known = runs.join(source.facts, on=source.keys, how="left", maintain_order="left")
     known = known.with_columns(pl.col("log").fill_null(named["log_ids"].list.first()))
     if files:
         known = known.with_columns(found.select(date_of(pl.col("files").list.first()).alias(DATE)))
-    return found.drop("numbers", RUN).hstack(known.drop("frames", strict=False))
+    return found.drop("numbers", RUN).hstack(known.drop("frames", "config", strict=False))

@@ -9,7 +9,7 @@ from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import Row, Table, rows_of_subjects
 from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
 
-from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded
+from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded, with_unit
 from ..results import Case
 from .summaries import Summary, WorstFrame
 
@@ -223,13 +223,8 @@ def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Container
     notes += ["; ".join(whole)] if whole and len(figures) == 1 else []
     notes += [f"columns: {', '.join(columns)}"] if columns else []
     title = "quality" if all_apart else "error or quality" if apart else "error"
-    headers = (
-        "frames %",
-        "median",
-        "p95 or p5" if any(f.tail_name == "p5" for f in shown) else "p95",
-        "worst",
-        "frame",
-    )
+    tail = "p95 or p5" if any(f.tail_name == "p5" for f in shown) else "p95"
+    headers = ("frames %", "median", tail, "worst", *(["frame"] if any(f.at for f in shown) else []))
     return Table(f"Stage and {title}", headers, rows, notes, about)
 
 
@@ -238,8 +233,8 @@ def _rows(found: StageFigures) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     if found.median is None:
         yield found.stage, "", (percent(found.coverage),)
     else:
-        cells = (percent(found.coverage), *_cells(found), str(found.at.frame) if found.at else "")
-        yield found.label, found.quantity.column, cells
+        frame = [str(found.at.frame)] if found.at else []
+        yield found.label, found.quantity.column, (percent(found.coverage), *_cells(found), *frame)
     for state, share in found.states.items():
         yield f"{found.stage}: {state}", "", (percent(share),)
     if told := found.telling:
@@ -257,14 +252,9 @@ def worst_of(figures: Iterable[StageFigures]) -> StageFigures | None:
     return max(having, key=lambda found: abs(found.worst or 0.0) / (found.quantity.limit or math.inf), default=None)
 
 
-def with_unit(value: float, quantity: Quantity) -> str:
-    """A quantity's name and a value of it with its unit."""
-    return f"{quantity.name} {rounded(value, quantity)}{'' if quantity.unit in UNITLESS else f' {quantity.unit}'}"
-
-
 def worst_line(found: StageFigures, command: str) -> str:
     """The worst frame of a stage and the command that shows it."""
-    return f"worst frame: {with_unit(abs(found.worst or 0.0), found.quantity)}: {command}"
+    return f"worst frame: {found.quantity.name} {with_unit(abs(found.worst or 0.0), found.quantity)}: {command}"
 
 
 def latency_line(summary: Summary) -> str:

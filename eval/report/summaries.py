@@ -14,6 +14,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import ReasonKind, reason_of
 from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 from roadperc_stream.schemas.columns import RATIO
+from roadperc_stream.system.text import number
 
 from ..lanes.precision_recall import Score, scores
 from ..report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, STATES, TRACED, Quantity
@@ -28,7 +29,6 @@ BETWEEN: Final = "\t"
 """Separates a true text from its estimate."""
 _GROUP: Final = "group"
 ByColumn = Callable[[str, Float], object]
-_RANKED: Final = {quantity.column: quantity for quantity in RANKED}
 _TEXTS: Final = {
     **{name: pl.col(name) for name in CATEGORIES},
     **{
@@ -117,6 +117,12 @@ class Summary:
         return lag_frames(self.correlations[side])
 
 
+def frames_in_segments(summary: Summary) -> str:
+    """The number of frames, and of segments if a run has several."""
+    segments = f" in {summary.segments} segments" if summary.segments > summary.runs else ""
+    return f"{number(summary.frames, 'frame')}{segments}"
+
+
 @dataclass(frozen=True)
 class Groups:
     """Groups of frames: their ``names``, and the number of the group of each frame, (N,), and of each run.
@@ -171,8 +177,8 @@ def summarise(
                 statistics_by[k][group][name] = statistics(own[known])
                 if (
                     worst
-                    and name in _RANKED
-                    and (ranked := worst_frames(frames, _RANKED[name], values, at[known], worst))
+                    and name in RANKED
+                    and (ranked := worst_frames(frames, RANKED[name], values, at[known], worst))
                 ):
                     worst_by[k][group][name] = ranked
         if also is not None:
@@ -217,7 +223,7 @@ def frame_at(frames: Frames, at: int, value: float = math.nan) -> WorstFrame:
     run = int(frames.run[at])
     return WorstFrame(
         run=frames.runs["log"][run],
-        config=frames.runs["configs"][run],
+        config=frames.runs["config"][run],
         frame=int(frames.frame[at]),
         segment=int(frames.own_segments[frames.segment[at]]),
         since_start_s=frames.since_start_s(at),
@@ -235,7 +241,7 @@ def _of_runs(frames: Frames, groups: Groups, number: int, by_run: Mapping[str, S
         frames=len(groups.frames[number]),
         runs=len(own),
         log_ids=tuple(runs["log_ids"].explode().unique(maintain_order=True)),
-        configs=tuple(runs["configs"].unique(maintain_order=True)),
+        configs=tuple(runs["config"].unique(maintain_order=True)),
         versions=tuple(runs["version"].drop_nulls().unique(maintain_order=True)),
     )
     if groups.of_runs is None:
@@ -284,15 +290,15 @@ def _texts(frames: Frames, groupings: Sequence[Groups], texts: Mapping[str, pl.E
                 if rows.schema["text"].base_type() is pl.List:
                     rows = rows.explode("text")
                 counts = rows.drop_nulls("text").group_by(_GROUP, "text", maintain_order=True).len()
-                for number, part in (
+                for (place,), part in (
                     counts.sort("len", descending=True, maintain_order=True)
                     .partition_by(_GROUP, as_dict=True, maintain_order=True)
                     .items()
                 ):
-                    found[number[0]].add(name, list(part.select("text", "len").iter_rows()))
+                    found[place].add(name, list(part.select("text", "len").iter_rows()))
             lacking = group.filter(batch["missing"].list.len() > 0).value_counts()
-            for number, count in lacking.iter_rows():
-                found[number].incomplete += count
+            for place, count in lacking.iter_rows():
+                found[place].incomplete += count
         begin += batch.height
     return [[vars(item) for item in found] for found in counted]
 

@@ -13,7 +13,6 @@ from ..report_columns import COVERED, RANKED, Quantity, ranked
 from .sources import Frames, Numbers
 from .summaries import Groups, WorstFrame, frame_at, worst_frames
 
-_RANKED = {quantity.column: quantity for quantity in RANKED}
 _OUTPUTS = {column: output for output, column in COVERED.items()}
 
 
@@ -71,8 +70,8 @@ class WorstLogs:
         """Rank the logs by the (N,) values of a column."""
         known = np.isfinite(values)
         valued = np.bincount(self.frames.run[known], minlength=len(self._counts))
-        if column in _RANKED and valued.any():
-            self.by_column[column] = list(self._ranked(_RANKED[column], values, known, valued))
+        if column in RANKED and valued.any():
+            self.by_column[column] = list(self._ranked(RANKED[column], values, known, valued))
         if column in _OUTPUTS:
             uncovered = list(self._uncovered(known, valued))
             self.by_output |= {_OUTPUTS[column]: uncovered} if uncovered else {}
@@ -89,7 +88,7 @@ class WorstLogs:
             yield WorstLog(run, float(means[run]), float(valued[run] / self._counts[run]), worst)
 
     def _uncovered(self, known: Numbers, valued: Numbers) -> Iterator[LeastCovered]:
-        configs = self.frames.runs["configs"].to_numpy()
+        configs = self.frames.runs["config"].to_numpy()
         enabled = np.isin(configs, configs[valued > 0])
         shares = valued / self._counts
         for run in self._each_once(np.flatnonzero(enabled & (shares < 1)), shares):
@@ -99,7 +98,7 @@ class WorstLogs:
 
     def _each_once(self, runs: Numbers, order: Float) -> Sequence[int]:
         """The first runs in ascending ``order``, each log under its first configuration only."""
-        ids = self.frames.runs.select("log_id" if "log_id" in self.frames.runs.columns else "log", "configs").rows()
+        ids = self.frames.runs.select("log_id" if "log_id" in self.frames.runs.columns else "log", "config").rows()
         first: dict[str, int] = {}
         for run in sorted(runs.tolist(), key=lambda run: (order[run], ids[run])):
             first.setdefault(ids[run][0], run)

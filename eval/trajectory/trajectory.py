@@ -9,11 +9,11 @@ from typing import Any, Final
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for
 from roadperc_stream.output.text_table import Table
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 
 from ..continued import find_joined
 from ..options import Alignment
-from ..report_columns import legend, listed, name_columns, percent, short_names
+from ..report_columns import legend, name_columns, percent, short_names
 from ..results import Case, ResultFiles, Results
 from ..runs import Run
 from .errors import Delta, ErrorStatistics
@@ -95,8 +95,8 @@ def in_short(run: Run) -> tuple[tuple[str, ...], dict[str, Any]]:
     line = f"trajectory: ATE {_number(found.absolute_m.rmse)} m, {_ALIGNED[found.alignment]}"
     if lengths := [stretch.length_m or 0 for stretch in found.stretches if stretch.count]:
         percent_off, deg_off = _segment_cells(found.together)
-        over = f"over {lengths[0]:.0f} to {lengths[-1]:.0f} m"
-        line += f", KITTI t_err {percent_off} %, r_err {deg_off} deg/100 m {over}"
+        ends = dict.fromkeys(f"{length:.0f}" for length in (lengths[0], lengths[-1]))
+        line += f", KITTI t_err {percent_off} %, r_err {deg_off} deg/100 m over {' to '.join(ends)} m"
     line = "; ".join(filter(None, (line, _without_scale(found))))
     return (line,), {"trajectory": _as_json(found)}
 

@@ -111,7 +111,7 @@ def _print_summary(job: BatchJob, summary: BatchSummary, seconds: float) -> None
     logs = f"{number(summary.done, 'log')} done{skipped}{failed}{not_started}"
     print_line(f"{logs}: {summary.frames} frames in {seconds:.1f} s{rate}")
     digest = config_digest(job.configuration.cfg)[:8]
-    print_line(f"dataset {job.out.address}, config {job.configuration.name}, configuration {digest}")
+    print_line(f"dataset {job.out.address}, config {job.configuration.name}, settings {digest}")
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.facts import LogFacts
-from roadperc_stream.info.printing import listed, print_log, print_roles
+from roadperc_stream.info.printing import print_log, print_roles
 from roadperc_stream.info.role_states import roles_of
 from roadperc_stream.input.outcome import FileSpan, joins
 from roadperc_stream.input.source import warnings_of
@@ -23,7 +23,7 @@ from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.record import log_id_of
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import require_free
-from roadperc_stream.system.text import number
+from roadperc_stream.system.text import listed, number
 from roadperc_stream.system.time import ns_to_seconds
 
 

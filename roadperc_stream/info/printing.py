@@ -15,16 +15,8 @@ from roadperc_stream.log import number_of
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY, log_id_of
-from roadperc_stream.system.text import number, shown
+from roadperc_stream.system.text import listed, number, shown
 from roadperc_stream.system.time import ns_to_seconds
-
-_MOST_LISTED: Final = 6
-
-
-def listed(names: Sequence[str], most: int = _MOST_LISTED) -> str:
-    """Names separated by commas; only the first ones if there are many."""
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def rounded(value: float | None) -> str:

@@ -1,7 +1,7 @@
 """Escaped lines for a terminal, counts, whole numbers, exceptions in one line, and similar names."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from reprlib import Repr
 from typing import Final, TextIO
 
@@ -31,6 +31,12 @@ def shown(text: str) -> str:
 def print_line(line: str, stream: TextIO | None = None) -> None:
     """Print a line, escaped; on stdout by default."""
     print(shown(line), file=stream)
+
+
+def listed(names: Sequence[str], most: int = 6) -> str:
+    """The first names in one line, and the number of further ones."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def number(count: int, what: str) -> str:
