@@ -13,9 +13,9 @@ from roadperc_stream.errors import ConfigError
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Detection, Image, Mask
 
-from . import boxes as of_boxes
-from .boxes import Boxes
+from . import detected_boxes as of_boxes
 from .description import DetectionKeys, Network, SegmentationKeys
+from .detected_boxes import Boxes
 from .pixels import as_seen, placement, require_orientation, tensor
 from .plausibility import ROAD
 from .semantic import HorizonEstimate, RoadMasks, corrected, full_size_scores, seen_mask

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from roadperc_stream.errors import ConfigError
-from roadperc_stream.tools.networks import boxes
+from roadperc_stream.tools.networks import detected_boxes
 from roadperc_stream.tools.networks.frames import Loaded, Pair, class_masks
 from roadperc_stream.tools.networks.semantic import HorizonEstimate
-from tests.tools.networks.test_boxes import TEXT, described
+from tests.tools.networks.test_detected_boxes import TEXT, described
 
 IMAGE = np.zeros((8, 16, 3), np.uint8)
 INPUT = TEXT.replace("[64, 32]", "[16, 8]")
@@ -77,9 +77,9 @@ def test_a_cell_of_a_grid_is_a_box_at_its_place(tmp_path):
     network = described(tmp_path / "a", text)
     raw = np.zeros((1, 4 * 8 + 2 * 4 + 1 * 2, 7), np.float32)
     raw[0, 32 + 5] = [0.5, 0.25, np.log(2), 0, 0.8, 0, 0.5]  # stride 16, row 1, column 1
-    found = boxes.decoded(network, network.keys.output, [raw])
+    found = detected_boxes.decoded(network, network.keys.output, [raw])
     assert found.corners == pytest.approx(np.array([[8, 12, 40, 28]]))
     assert found.scores == pytest.approx([0.4])
     assert found.classes.tolist() == [1]
     with pytest.raises(ConfigError, match=r"is \[1, 41, 7\].*\[1, 42, 7 or more\]"):
-        boxes.decoded(network, network.keys.output, [raw[:, 1:]])
+        detected_boxes.decoded(network, network.keys.output, [raw[:, 1:]])

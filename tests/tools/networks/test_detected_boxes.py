@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import table_of_classes
-from roadperc_stream.tools.networks import boxes
-from roadperc_stream.tools.networks.boxes import Boxes
+from roadperc_stream.tools.networks import detected_boxes
 from roadperc_stream.tools.networks.description import DetectionKeys, InputKeys, Network, read_network
+from roadperc_stream.tools.networks.detected_boxes import Boxes
 from roadperc_stream.tools.networks.pixels import placement, require_orientation
 from roadperc_stream.tools.networks.plausibility import RoadCheck
 
@@ -48,25 +48,25 @@ def test_faults_of_a_description_name_file_and_key(tmp_path, old, new, words):
 def test_yolov8_and_decoded_boxes_are_the_same_boxes(tmp_path):
     network = described(tmp_path / "a")
     raw = np.array([[[20, 10], [10, 10], [8, 4], [4, 4], [0.1, 0.2], [0.9, 0.1]]], np.float32)
-    found = boxes.decoded(network, network.keys.output, [raw])
+    found = detected_boxes.decoded(network, network.keys.output, [raw])
     assert found.corners.tolist() == [[16, 8, 24, 12]]
     assert found.classes.tolist() == [1]
     text = TEXT.replace("yolov8", "boxes")
     network = described(tmp_path / "b", text)
     parts = [np.float32([[16, 8, 24, 12]]), np.float32([0.9]), np.float32([1])]
     for outputs in (parts, [np.float32([[[16, 8, 24, 12, 0.9, 1]]])]):
-        assert boxes.decoded(network, network.keys.output, outputs).corners.tolist() == found.corners.tolist()
+        assert detected_boxes.decoded(network, network.keys.output, outputs).corners.tolist() == found.corners.tolist()
     with pytest.raises(ConfigError, match=r"is \[1, 3, 5\].*expects \[1, N, 6\]"):
-        boxes.decoded(network, network.keys.output, [np.zeros((1, 3, 5), np.float32)])
+        detected_boxes.decoded(network, network.keys.output, [np.zeros((1, 3, 5), np.float32)])
 
 
 def test_duplicates_nested_large_and_bonnet_boxes_are_left_out():
     keys = DetectionKeys(decoder="boxes", classes={0: "car", 1: "person"}, ignore_below=0.9)
     corners = [[0, 0, 20, 20], [1, 0, 21, 20], [2, 2, 8, 8], [2, 2, 8, 8], [0, 0, 90, 80], [50, 80, 60, 95]]
     made = Boxes(np.array(corners, float), np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.4]), np.array([0, 1, 0, 1, 1, 0]))
-    kept = boxes.without_duplicates(keys, made)
+    kept = detected_boxes.without_duplicates(keys, made)
     assert kept.scores.tolist() == [0.9, 0.6, 0.4]
-    assert boxes.possible(keys, made, (100, 100)).scores.tolist() == [0.9, 0.8, 0.7, 0.6]
+    assert detected_boxes.possible(keys, made, (100, 100)).scores.tolist() == [0.9, 0.8, 0.7, 0.6]
 
 
 @given(st.sampled_from(["corner", "centre"]), st.integers(8, 2000), st.integers(8, 2000))
