@@ -12,7 +12,7 @@ from roadperc_stream.eval.continued import find_joined
 from roadperc_stream.eval.runs import collect
 from roadperc_stream.eval.scan import rows_of
 from tests.eval.tables import row, summary_of, write
-from tests.eval.trajectories.paths import columns, helix, noisy
+from tests.eval.trajectory.paths import columns, helix, noisy
 
 FRAMES = 20
 LOGS = ("a" * 16, "b" * 16, "c" * 16, "d" * 16)

@@ -16,7 +16,7 @@ from roadperc_stream.eval.trajectory.errors import Delta
 from roadperc_stream.eval.trajectory.evaluation import evaluate
 from roadperc_stream.eval.trajectory.poses import read_poses
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, summary_of, write
-from tests.eval.trajectories.paths import helix, noisy, rigid, scaled, straight, write_run
+from tests.eval.trajectory.paths import helix, noisy, rigid, scaled, straight, write_run
 
 FRAMES = 24
 RUN = Delta(1, "frames")

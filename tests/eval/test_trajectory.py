@@ -15,7 +15,7 @@ from roadperc_stream.eval.trajectory.errors import Delta
 from roadperc_stream.eval.trajectory.evaluation import evaluate
 from roadperc_stream.eval.trajectory.poses import read_poses
 from tests.eval.tables import outcome
-from tests.eval.trajectories.paths import helix, noisy, write_run
+from tests.eval.trajectory.paths import helix, noisy, write_run
 
 trajectory = partial(outcome, main)
 

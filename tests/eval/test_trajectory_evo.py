@@ -18,7 +18,7 @@ from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.eval.trajectory.errors import Delta
 from roadperc_stream.eval.trajectory.evaluation import evaluate
 from roadperc_stream.eval.trajectory.poses import read_poses
-from tests.eval.trajectories.paths import noisy, poses_at, scaled, write_run
+from tests.eval.trajectory.paths import noisy, poses_at, scaled, write_run
 
 pytestmark = pytest.mark.skipif(
     "ROADPERC_EVO" not in os.environ, reason="evo is not installed: ROADPERC_EVO names no folder with evo_ape, evo_rpe"

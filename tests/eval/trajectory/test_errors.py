@@ -16,7 +16,7 @@ from roadperc_stream.eval.trajectory.errors import (
     segment_errors,
     umeyama,
 )
-from tests.eval.trajectories.paths import helix, poses_at, rigid, scaled, straight
+from tests.eval.trajectory.paths import helix, poses_at, rigid, scaled, straight
 
 TRUE = helix(80)
 

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.eval.trajectory.poses import kitti_lines, read_poses, tum_lines
 from tests.eval.tables import START_NS, STEP_NS, run_of
-from tests.eval.trajectories.paths import columns, helix, noisy, rigid, write_run
+from tests.eval.trajectory.paths import columns, helix, noisy, rigid, write_run
 
 TRUE = rigid(1) @ helix(6)
 ESTIMATED = noisy(TRUE, 1)

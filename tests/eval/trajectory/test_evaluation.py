@@ -9,7 +9,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.eval.trajectory.errors import Delta
 from roadperc_stream.eval.trajectory.evaluation import evaluate
 from roadperc_stream.eval.trajectory.poses import RunPoses
-from tests.eval.trajectories.paths import helix, scaled, straight
+from tests.eval.trajectory.paths import helix, scaled, straight
 
 FRAME = Delta(1, "frames")
 
