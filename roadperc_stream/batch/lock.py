@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Self
 
 import msgspec
@@ -53,6 +54,8 @@ def dataset_lock(out: Location) -> Iterator[None]:
     Raises:
         StorageError: another batch is named there, or the dataset cannot be written.
     """
+    if out.is_local and Path(out.address).is_file():
+        raise StorageError(f"{out.address}: is a file, expected the folder of a dataset")
     file = out.at(LOCK)
     holder = _holder_in(file)
     if holder is not None and not holder.has_ended:
