@@ -33,7 +33,7 @@ from .layouts.dataset import ConvertOptions, DatasetSequence, Layout, Request
 from .readers.depth_files import GREY, DepthEncoding, depth_encoding, depth_metres, grey_encoding
 from .readers.image_files import UnreadableFrameError
 from .readers.pixel_files import samples_of
-from .readers.sensors import Sensor, of_size
+from .readers.sensor_folders import Sensor, of_size
 from .readers.tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
 from .recording import (
     WORKERS,

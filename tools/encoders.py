@@ -25,7 +25,7 @@ from .readers.depth_files import DepthEncoding, depth_metres
 from .readers.image_files import UnreadableFrameError, read_bytes, require_whole
 from .readers.pixel_files import Pixels, load_pixels
 from .readers.point_files import load_points
-from .readers.sensors import require_size
+from .readers.sensor_folders import require_size
 from .readers.tag_files import TagEncoding, tags_of
 from .recording import JPEG_QUALITY, straightened
 from .rig import FRONT, Rig

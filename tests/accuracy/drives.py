@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from roadperc_stream.cli import convert
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
-from roadperc_stream.tools.scene import dump, noise
+from roadperc_stream.tools.scene import dump_files, noise
 from roadperc_stream.tools.scene.job import PURPOSES, render_dump
 from roadperc_stream.tools.scene.options import RenderOptions
 
@@ -115,7 +115,7 @@ def hide_pitch(dump_folder, mount):
             if isinstance(side, dict):
                 side["line_ego_m"] = (level_R_true.apply(np.array(side["line_ego_m"]) - centre) + centre).tolist()
     for name, content in (("calibration", calibration), ("truth", truth)):
-        dump.write_json(dump_folder / f"{name}.json", content)
+        dump_files.write_json(dump_folder / f"{name}.json", content)
 
 
 def with_noise(clean, noisy, seed, kind):
@@ -132,13 +132,13 @@ def with_noise(clean, noisy, seed, kind):
         write_tags(picture, tags, kind.jpeg_quality)
     for picture in sorted((noisy / "depth").iterdir()) if kind.depth else ():
         depth_m = noise.noisy_depth(depth_of(picture), kind.depth, random_of(seed, picture, "depth"))
-        dump.write_picture(picture, dump.depth_picture(depth_m))
+        dump_files.write_picture(picture, dump_files.depth_picture(depth_m))
 
 
 def write_tags(path, tags, jpeg_quality):
     """Write tags as raw PNG, or as colours in a JPEG."""
     if jpeg_quality is None:
-        dump.write_picture(path, dump.tags_picture(tags))
+        dump_files.write_picture(path, dump_files.tags_picture(tags))
         return
     colours = np.array(CARLA_FROM_0_9_14.colours, np.uint8)
     cv2.imwrite(str(path.with_suffix(".jpg")), colours[tags][..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
@@ -148,7 +148,7 @@ def write_tags(path, tags, jpeg_quality):
 def depth_of(picture):
     """(H, W) depth in metres of a clean depth image."""
     blue, green, red = (cv2.imread(str(picture)).astype(np.float64)[..., c] for c in range(3))
-    return ((red + 256 * green + 65536 * blue) * (1000 / dump.DEPTH_CODES)).astype(np.float32)
+    return ((red + 256 * green + 65536 * blue) * (1000 / dump_files.DEPTH_CODES)).astype(np.float32)
 
 
 def random_of(seed, picture, purpose):

@@ -23,7 +23,7 @@ def main():
 
         return counted
 
-    for owner, name in ((Path, "replace"), (Path, "unlink"), (shutil, "rmtree")):
+    for owner, name in ((Path, "replace"), (Path, "rename"), (Path, "unlink"), (shutil, "rmtree")):
         setattr(owner, name, before(getattr(owner, name)))
     signal.setitimer(signal.ITIMER_PROF, after_s)  # without a handler, the signal ends the process
     return import_module(f"roadperc_stream.cli.{sys.argv[3]}").main(sys.argv[4:])

@@ -19,7 +19,7 @@ from roadperc_stream.model.tag_tables import classes_of_label
 
 from ..readers.documents import Document, Id, Listed, checked
 from ..readers.frame_stamps import stamps_of_rate
-from ..readers.sensors import sensor_in, with_headers
+from ..readers.sensor_folders import sensor_in, with_headers
 from ..rig import front_rig
 from .boxes import LabelledBox, objects_of_boxes
 from .carla_files import Halves, Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix

@@ -23,7 +23,7 @@ from roadperc_stream.input.calibrations import LIDAR
 from roadperc_stream.system.files import read_file
 
 from ..readers.documents import frame_number, parsed_json, pose
-from ..readers.sensors import Sensor, points_fault
+from ..readers.sensor_folders import Sensor, points_fault
 from .dataset import Request
 
 Matrix4 = tuple[Numbers4, Numbers4, Numbers4, Numbers4]

@@ -21,7 +21,7 @@ from roadperc_stream.input.calibrations import LIDAR, right_handed
 from ..readers.depth_files import DepthEncoding
 from ..readers.documents import Document, Id, Listed, checked
 from ..readers.frame_stamps import stamps_of_rate
-from ..readers.sensors import Sensor, sensor_in, with_headers
+from ..readers.sensor_folders import Sensor, sensor_in, with_headers
 from ..rig import front_rig
 from .boxes import LabelledBox, objects_of_boxes
 from .carla_files import Halves, Matrix4, folders_that, laz_sensor, numbered, read_document, right_handed_matrix

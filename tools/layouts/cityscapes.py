@@ -10,7 +10,7 @@ from typing import Final
 from roadperc_stream.errors import DumpError
 
 from ..readers.frame_stamps import stamps_of_rate
-from ..readers.sensors import Sensor, with_headers
+from ..readers.sensor_folders import Sensor, with_headers
 from ..rig import build_rig
 from .dataset import DatasetSequence, Layout, Request
 

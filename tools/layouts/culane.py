@@ -13,7 +13,7 @@ from roadperc_stream.geometry import Float
 
 from ..readers.documents import numbers, read_lines
 from ..readers.frame_stamps import stamps_of_rate
-from ..readers.sensors import sensor_in
+from ..readers.sensor_folders import sensor_in
 from .dataset import DatasetSequence, Layout, Request
 from .lane_labels import FLAGS, labelled_dataset
 

@@ -11,7 +11,7 @@ from roadperc_stream.model import Detection
 
 from ..readers.calibration_file import CALIBRATION_NAME, CalibrationFile, calibration_of
 from ..readers.depth_files import DepthCoding, DepthEncoding
-from ..readers.sensors import Sensor
+from ..readers.sensor_folders import Sensor
 from ..readers.truth_file import TruthTables
 from ..rig import Rig
 

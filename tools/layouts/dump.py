@@ -15,7 +15,7 @@ from ..readers.calibration_file import CalibrationFile
 from ..readers.detection_files import Detections, load_detections, load_labels
 from ..readers.frame_stamps import DEFAULT_RATE_HZ, mean_rate, stamps_of_file, stamps_of_names, stamps_of_rate
 from ..readers.image_files import read_bytes
-from ..readers.sensors import Sensor, points_fault, with_headers
+from ..readers.sensor_folders import Sensor, points_fault, with_headers
 from ..readers.truth_file import TruthTables, load_poses, load_truth
 from ..rig import CAMERA_ROLES, build_rig
 from .dataset import DatasetSequence, Layout, Request

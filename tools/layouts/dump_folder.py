@@ -12,7 +12,7 @@ from roadperc_stream.schemas.role_names import names_other_sensor, role_of
 from roadperc_stream.system.files import real_path
 
 from ..readers.detection_files import NAMES_FILES
-from ..readers.sensors import (
+from ..readers.sensor_folders import (
     DOCUMENTS,
     Sensor,
     entries_of,

@@ -22,7 +22,7 @@ from roadperc_stream.input.projections import require_pinhole
 from roadperc_stream.model import EGO, Transform
 
 from ..readers.documents import numbers, pose, read_lines
-from ..readers.sensors import Sensor, sensor_in
+from ..readers.sensor_folders import Sensor, sensor_in
 from ..rig import FRONT, RIGHT, Rig
 from .dataset import Request
 

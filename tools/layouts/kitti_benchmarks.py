@@ -27,7 +27,7 @@ from roadperc_stream.system.text import whole_number
 from ..readers.detection_files import KITTI_COLUMNS, KITTI_IGNORED, kitti_detection
 from ..readers.documents import numbers, read_lines
 from ..readers.frame_stamps import stamps_of_rate
-from ..readers.sensors import Sensor, sensor_in, with_headers
+from ..readers.sensor_folders import Sensor, sensor_in, with_headers
 from ..readers.truth_file import TruthTables
 from ..rig import Rig
 from .boxes import box_distance_m

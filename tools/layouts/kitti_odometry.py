@@ -15,7 +15,7 @@ from roadperc_stream.system.text import number as counted
 from ..readers.calibration_file import CALIBRATION_NAME
 from ..readers.documents import numbers, pose, read_lines
 from ..readers.frame_stamps import mean_rate, stamps_by_line, stamps_of_rate
-from ..readers.sensors import sensor_in, with_headers
+from ..readers.sensor_folders import sensor_in, with_headers
 from .dataset import DatasetSequence, Layout, Request
 from .kitti import PIXEL_ORIGIN, cameras_in, cameras_of, height_of, kitti_rig, pose_of, read_matrices
 

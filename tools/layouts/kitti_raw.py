@@ -15,7 +15,7 @@ from roadperc_stream.input.calibrations import LIDAR
 
 from ..readers.documents import frame_number, pose, read_lines
 from ..readers.frame_stamps import mean_rate, stamps_by_line
-from ..readers.sensors import sensor_in, with_headers
+from ..readers.sensor_folders import sensor_in, with_headers
 from .dataset import DatasetSequence, Layout, Request
 from .kitti import (
     PIXEL_ORIGIN,

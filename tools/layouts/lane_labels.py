@@ -15,7 +15,7 @@ from roadperc_stream.geometry import Camera, Float, mounting, rays
 from roadperc_stream.geometry.rectification import is_rectified, rectified, rectified_pixels
 from roadperc_stream.model import EGO, SIDES, Boundary, Lanes, Transform
 
-from ..readers.sensors import Sensor, with_headers
+from ..readers.sensor_folders import Sensor, with_headers
 from ..readers.truth_file import TruthTables
 from ..rig import FRONT, build_rig
 from .dataset import DatasetSequence, Request

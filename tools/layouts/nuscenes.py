@@ -23,7 +23,7 @@ from roadperc_stream.model.tag_tables import classes_of_label
 
 from ..readers.documents import Document, Listed, checked, named_file, read_json
 from ..readers.frame_stamps import mean_rate
-from ..readers.sensors import Sensor, with_headers
+from ..readers.sensor_folders import Sensor, with_headers
 from ..rig import front_rig
 from .boxes import LabelledBox, objects_of_boxes
 from .dataset import DatasetSequence, Layout, Request

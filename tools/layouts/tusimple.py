@@ -17,7 +17,7 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.system.time import NS_PER_S
 
 from ..readers.documents import EPOCH_NS, Document, Listed, checked, named_file, parsed_json, read_lines
-from ..readers.sensors import Sensor, sensor_in
+from ..readers.sensor_folders import Sensor, sensor_in
 from .dataset import DatasetSequence, Layout, Request
 from .lane_labels import FLAGS, labelled_dataset
 

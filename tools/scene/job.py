@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.system.text import print_line
 
-from . import dump, noise
+from . import dump_files, noise
+from .cameras import CameraPair, make_rig, scan
 from .object_truth import objects_truth
 from .options import SENSORS, RenderOptions
-from .rig import CameraPair, make_rig, scan
 from .scenario import Scenario
 from .scenes import make_scene
 from .truth import lanes_truth, surface_truth
@@ -53,7 +53,7 @@ def render_dump(
     """
     options.check()
     cv2.setNumThreads(1)
-    with dump.new_dump(folder, force=force) as hidden:
+    with dump_files.new_dump(folder, force=force) as hidden:
         scene = make_scene(options, 0.0 if options.static else options.speed_mps * options.seconds)
         scenario = Scenario.of(scene, options)
         job = _Job(hidden, options, scenario, make_rig(options))
@@ -89,12 +89,12 @@ class _Job:
         self._write_pictures(frame, name, snapshot, left)
         if options.instances:
             ids = self._instances(snapshot, left)
-            dump.write_picture(self._path(dump.INSTANCES, name), dump.tags_picture(left.tags, ids))
+            dump_files.write_picture(self._path(dump_files.INSTANCES, name), dump_files.tags_picture(left.tags, ids))
             for truth, entry in zip(objects, entries, strict=True):
                 entry["instance_id"] = self.ids[truth.name]
         rng = self._rng(frame, "detections")
         self.detections[name] = noise.detect(snapshot, rig.camera, world_T_camera, objects, rng)
-        self.poses[name] = dump.carla_transform(snapshot.world_T_ego)
+        self.poses[name] = dump_files.carla_transform(snapshot.world_T_ego)
         self.stamps.append(f"{name} {snapshot.time_s:.9f}\n")
         self.truth["lanes"][name] = lanes_truth(snapshot, with_change=options.knows_path)
         self.truth["surface"][name] = surface_truth(snapshot, rig)
@@ -103,14 +103,14 @@ class _Job:
     def write_records(self) -> None:
         """Write the JSON files and ``timestamps.txt``."""
         documents = {
-            "calibration": dump.calibration(self.rig, self.options),
+            "calibration": dump_files.calibration(self.rig, self.options),
             "detections": self.detections,
             "poses": self.poses,
             "truth": self.truth,
         }
         for name, content in documents.items():
-            dump.write_json(self.folder / f"{name}.json", content)
-        dump.write_file(self.folder / "timestamps.txt", "".join(self.stamps).encode())
+            dump_files.write_json(self.folder / f"{name}.json", content)
+        dump_files.write_file(self.folder / "timestamps.txt", "".join(self.stamps).encode())
 
     def _rng(self, frame: int, purpose: str) -> np.random.Generator:
         return np.random.default_rng((self.options.seed, frame, PURPOSES[purpose]))
@@ -131,13 +131,13 @@ class _Job:
         written = (self._rng(frame, "drop").random(len(SENSORS) + 1) >= options.drop) | (frame == 0)
         for sensor, keep in zip(SENSORS, written[:-1], strict=True):
             if keep and sensor not in options.without:
-                dump.write_picture(self._path(sensor, name), self._picture(frame, sensor, snapshot, left))
+                dump_files.write_picture(self._path(sensor, name), self._picture(frame, sensor, snapshot, left))
         if options.lidar and written[-1]:
-            dump.write_points(self.folder / dump.LIDAR / f"{name}.ply", scan(snapshot))
+            dump_files.write_points(self.folder / dump_files.LIDAR / f"{name}.ply", scan(snapshot))
         if options.tag_noise or options.drop or "segmentation" in options.without:
-            dump.write_picture(self._path("truth/segmentation", name), dump.tags_picture(left.tags))
+            dump_files.write_picture(self._path("truth/segmentation", name), dump_files.tags_picture(left.tags))
         if options.depth_noise or options.drop or "depth" in options.without:
-            dump.write_picture(self._path("truth/depth", name), dump.depth_picture(left.depth_m))
+            dump_files.write_picture(self._path("truth/depth", name), dump_files.depth_picture(left.depth_m))
 
     def _picture(self, frame: int, sensor: str, snapshot: Snapshot, left: View) -> NDArray[np.uint8]:
         """Return the picture of a sensor, with the noise of the options."""
@@ -145,10 +145,10 @@ class _Job:
         if sensor == "depth":
             share, depth_m = options.depth_noise, left.depth_m
             noisy_m = noise.noisy_depth(depth_m, share, self._rng(frame, "depth")) if share else depth_m
-            return dump.depth_picture(noisy_m)
+            return dump_files.depth_picture(noisy_m)
         if sensor == "segmentation":
             share, tags = options.tag_noise, left.tags
-            return dump.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
+            return dump_files.tags_picture(noise.noisy_tags(tags, share, self._rng(frame, "tags")) if share else tags)
         right = sensor == "right"
         beside = snapshot.world_T_ego @ rig.ego_T_right
         rgb = View(snapshot, rig.camera, beside, options.bonnet).rgb if right else left.rgb

@@ -14,9 +14,9 @@ from roadperc_stream.geometry import Float, inverse, rays, transform
 
 from ..box_view import corners_between, image_box, seen_sides
 from .atlas import CAR_WIDTH_M
+from .cameras import CameraPair
 from .faces import Body
 from .raster import NEAR_M
-from .rig import CameraPair
 from .scenario import Scenario
 from .view import Snapshot, View
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float, camera_pitch_roll, facing, fit_plane, inverse, transform, transform_plane
 
+from .cameras import CameraPair
 from .lanes import Edge
-from .rig import CameraPair
 from .scenes import RenderedScene, Terrain
 from .view import Snapshot
 

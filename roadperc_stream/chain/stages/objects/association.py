@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
+from roadperc_stream.chain.stages.objects.object_track import ObjectTrack, distance_std_m
 from roadperc_stream.chain.stages.objects.place import Sighting
-from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.model import Box, Object

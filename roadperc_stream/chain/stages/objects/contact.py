@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.chain.stages.objects.mosaic import corners
+from roadperc_stream.chain.stages.objects.object_track import Extent
 from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
-from roadperc_stream.chain.stages.objects.tracking import Extent
 from roadperc_stream.geometry import Camera, Float, rays
 from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.model import Box, Object, Surface

@@ -11,9 +11,9 @@ from math import atan2, ceil, cos, exp, fsum, hypot, radians, sin, sqrt
 import numpy as np
 
 from roadperc_stream.chain.stages.objects import growth
+from roadperc_stream.chain.stages.objects.object_track import Extent, ObjectTrack
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.regions import ranked
-from roadperc_stream.chain.stages.objects.tracking import Extent, ObjectTrack
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import SIDES, Boundary, Detection, Lanes, Object, PathSource

@@ -11,15 +11,15 @@ from math import sqrt
 
 import numpy as np
 
-from roadperc_stream.chain.stages.objects import contact, tracking
+from roadperc_stream.chain.stages.objects import contact, object_track
 from roadperc_stream.chain.stages.objects.association import overlap_similarities, similarities
 from roadperc_stream.chain.stages.objects.contact import Contact, GroundPlane
 from roadperc_stream.chain.stages.objects.filtering import divides, filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
+from roadperc_stream.chain.stages.objects.object_track import ObjectTrack, distance_std_m
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
 from roadperc_stream.chain.stages.objects.place import Sighting, sighting
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
-from roadperc_stream.chain.stages.objects.tracking import ObjectTrack, distance_std_m
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, inverse
 from roadperc_stream.geometry.assignment import largest_total
@@ -111,7 +111,7 @@ def step(
         k: _placed(cfg, frame, path, own[k], track, contacts.get(k))
         for k, track in _detected(cfg, state.next_number, frame, known, kept, pairs).items()
     }
-    missed = [tracking.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
+    missed = [object_track.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
     searched = _searched(cfg, frame, path, missed, kept)
     found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
@@ -138,9 +138,9 @@ def _known(
     now_T_last = None
     if last_T_this is not None and with_depth:
         now_T_last = inverse(last_T_this @ frame.ego_T_camera) @ frame.ego_T_camera
-    last = [tracking.with_depth(track) for track in state.tracks] if with_depth else state.tracks
-    known = [tracking.predict(cfg, track, frame.stamp_ns, now_T_last) for track in last]
-    known = [track for track in known if not tracking.expired(cfg, track)]
+    last = [object_track.with_depth(track) for track in state.tracks] if with_depth else state.tracks
+    known = [object_track.predict(cfg, track, frame.stamp_ns, now_T_last) for track in last]
+    known = [track for track in known if not object_track.expired(cfg, track)]
     return known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
 
 
@@ -149,7 +149,7 @@ def _expected(cfg: ObjectsConfig, frame: Frame, known: Sequence[ObjectTrack]) ->
 
     Only confirmed tracks count. Among several objects, the one with the largest overlap counts.
     """
-    tracks = [track for track in known if tracking.confirmed(cfg, track)]
+    tracks = [track for track in known if object_track.confirmed(cfg, track)]
     detections = frame.detections
     if not tracks or not detections:
         return {}
@@ -213,9 +213,9 @@ def _detected(
             # The object continues beyond one side of the image; the deviation of its edge hides that.
             edge_px = _EDGE_SIGMAS * contact.edge_std_px(box.x_max - box.x_min)
             cut = (box.x_min < edge_px) != (box.x_max > frame.camera.width - edge_px)
-            track = tracking.detected(cfg, known[track_of[k]], item, box, cut=cut)
+            track = object_track.detected(cfg, known[track_of[k]], item, box, cut=cut)
         else:
-            track = tracking.start(cfg, next_number, item, box, frame.stamp_ns)
+            track = object_track.start(cfg, next_number, item, box, frame.stamp_ns)
             next_number += 1
         tracks[position] = track
     return tracks
@@ -227,13 +227,13 @@ def _placed(
     """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
     template = _template(cfg, frame, track)
     if at is None:
-        return tracking.seen_at(
-            tracking.placed(track, extent(frame, path, item), template), _sighting(cfg, frame, item, track.box_px)
+        return object_track.seen_at(
+            object_track.placed(track, extent(frame, path, item), template), _sighting(cfg, frame, item, track.box_px)
         )
-    track = tracking.placed(track, contact.extent(frame, path, item, at), template)
+    track = object_track.placed(track, contact.extent(frame, path, item, at), template)
     track, box = replace(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
-    return tracking.grown(cfg, track, edge_std_px) if at.clear else track
+    return object_track.grown(cfg, track, edge_std_px) if at.clear else track
 
 
 def _template(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack) -> Template | None:
@@ -268,7 +268,7 @@ def _searched(
 
 def _sought(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack, matched: Box | None) -> Box | None:
     """The box in the image where a track's object may be: where its template matched, else at its predicted place."""
-    at_place = cfg.template_search and tracking.confirmed(cfg, track) and track.place is not None and divides(frame)
+    at_place = cfg.template_search and object_track.confirmed(cfg, track) and track.place is not None and divides(frame)
     if matched is None and not at_place:
         return None
     box = _within(frame.camera, matched or track.box_px)
@@ -284,21 +284,26 @@ def _found(
     """
     track, item = searched.track, searched.item
     lost = replace(searched, item=None)
-    if item is None or not item.kept or not (by_template or tracking.agrees(cfg, track, item)):
+    if item is None or not item.kept or not (by_template or object_track.agrees(cfg, track, item)):
         return lost
     item = replace(item, status="tracked")
-    after = tracking.observed(cfg, track, item, item.detection.box_px)
+    after = object_track.observed(cfg, track, item, item.detection.box_px)
     if overlap_similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
-    track = tracking.placed(after, extent(frame, path, item), after.template)
+    track = object_track.placed(after, extent(frame, path, item), after.template)
     return replace(searched, track=track, item=item)
 
 
 def _matched(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack) -> tuple[Box | None, Correlation | None]:
     """The whole object's box where its template matches, None if nowhere, and the correlation."""
-    if not cfg.template_search or not tracking.confirmed(cfg, track) or track.template is None or frame.grey is None:
+    if (
+        not cfg.template_search
+        or not object_track.confirmed(cfg, track)
+        or track.template is None
+        or frame.grey is None
+    ):
         return None, None
-    scale = tracking.zoom(track.template.distance_m, track.distance_m)
+    scale = object_track.zoom(track.template.distance_m, track.distance_m)
     correlation = track.template.search(frame.grey, _around(track), scale)
     found = None if correlation is None else correlation.match(cfg.template_min_score)
     return None if found is None else track.template.whole(found[0], scale), correlation

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadperc_stream.chain.stages.objects import tracking
+from roadperc_stream.chain.stages.objects import object_track
 from roadperc_stream.chain.stages.objects.association import DISTANCE_PENALTY, overlap_similarities, similarities
 from roadperc_stream.chain.stages.objects.place import Sighting
 from roadperc_stream.geometry.assignment import largest_total
@@ -62,7 +62,7 @@ def item_at(distance_m, label="Car"):
 
 
 def track_at(distance_m, number=1):
-    return tracking.start(CFG, number, item_at(distance_m), Box(0, 0, 10, 10), 0)
+    return object_track.start(CFG, number, item_at(distance_m), Box(0, 0, 10, 10), 0)
 
 
 def plain_similarity(cfg, track, item, box_px):
@@ -72,7 +72,7 @@ def plain_similarity(cfg, track, item, box_px):
         return 0.0
     contradiction = 0.0
     if track.distance_m is not None and item.distance_m is not None:
-        surprise = track.distance_m.surprise(item.distance_m, tracking.distance_std_m(cfg, item))
+        surprise = track.distance_m.surprise(item.distance_m, object_track.distance_std_m(cfg, item))
         contradiction = min(surprise / cfg.gate, 1.0)
     score = track.box_px.overlap(box_px) * (1.0 - DISTANCE_PENALTY * contradiction)
     return score if score >= cfg.min_overlap else 0.0
@@ -90,8 +90,8 @@ def test_similarities_of_all_pairs_equal_those_of_single_pairs():
         return [*made[: count // 4], *known[count // 4 :], *surer]
 
     detected, before = items(200), items(170)
-    tracks = [tracking.start(CFG, k, item, item.detection.box_px, 0) for k, item in enumerate(before)]
-    tracks = [tracking.predict(CFG, track, 50_000_000) for track in tracks]
+    tracks = [object_track.start(CFG, k, item, item.detection.box_px, 0) for k, item in enumerate(before)]
+    tracks = [object_track.predict(CFG, track, 50_000_000) for track in tracks]
     boxes = [item.detection.box_px for item in detected]
     expected = [[plain_similarity(CFG, t, item, b) for item, b in zip(detected, boxes, strict=True)] for t in tracks]
     found = overlap_similarities(CFG, tracks, detected, boxes)
@@ -101,7 +101,7 @@ def test_similarities_of_all_pairs_equal_those_of_single_pairs():
 
 def test_the_place_on_the_ground_comes_before_the_overlap():
     """A person who has left the box of the last frame, and another one who is in it, but 6 m farther away."""
-    track = tracking.seen_at(track_at(20.0), Sighting((0.0, 0.0, 20.0), 0.2, 0.2))
+    track = object_track.seen_at(track_at(20.0), Sighting((0.0, 0.0, 20.0), 0.2, 0.2))
     items, boxes = [item_at(20.0), item_at(26.0)], [Box(11, 0, 21, 10), Box(0, 0, 10, 10)]
     seen = [Sighting((0.4, 0.0, 20.0), 0.2, 0.2), Sighting((0.0, 0.0, 26.0), 0.2, 0.2), None]
     assert largest_total(similarities(CFG, [track], items, boxes, seen[:2])) == {0: 0}

@@ -15,9 +15,9 @@ from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.system.files import completing_folder
 
+from .cameras import BASELINE_M, LIDAR_Z_M, CameraPair
 from .ground import FAR_M
 from .options import SENSORS, RenderOptions
-from .rig import BASELINE_M, LIDAR_Z_M, CameraPair
 
 JPEG_QUALITY: Final = 90
 CARLA_VERSION: Final = "0.9.15"
