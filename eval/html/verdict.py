@@ -15,6 +15,7 @@ from ..compare.pairing import pair_runs
 from ..compare.verdicts import Mark, Place, Verdict
 from ..options import Rules
 from ..report.full_tables import ranked_by
+from ..report.stages import judged_stages, stage_figures, worst_of
 from ..report.summaries import Summary, WorstFrame
 from ..report_columns import LOST, TRUTH, Quantity
 from ..runs import Run
@@ -61,15 +62,21 @@ def single_sentence(summary: Summary) -> tuple[Mark, str]:
 
 
 def ranked_frames(groups: Sequence[Summary], most: int) -> list[Ranked]:
-    """The worst frames across metrics, each once, by their size in relevant effects; only those above one."""
+    """The worst frames across metrics, each once, by their size in relevant effects; only those above one.
+
+    The first one is that of the report, the largest multiple of a limit, if a stage has one.
+    """
     found = [
         Ranked(frame, quantity, size(frame.value, quantity))
         for quantity in ranked_by(groups)
         for group in groups
         for frame in group.worst.get(quantity.column, ())
     ]
+    judged = judged_stages(groups)
+    worst = worst_of(figure for group in groups for figure in stage_figures(group, judged))
+    leading = [Ranked(worst.at, worst.quantity, size(worst.at.value, worst.quantity))] if worst and worst.at else []
     largest: dict[tuple[str, int], Ranked] = {}
-    for item in sorted((item for item in found if item.size > 1), key=lambda item: -item.size):
+    for item in (*leading, *sorted((item for item in found if item.size > 1), key=lambda item: -item.size)):
         largest.setdefault((item.frame.run, item.frame.frame), item)
     return list(largest.values())[:most]
 
