@@ -1,6 +1,5 @@
 """Sends a log to a Rerun viewer or writes it as a recording, message by message."""
 
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from typing import Final
 
 import rerun as rr
 from google.protobuf.message import DecodeError as ProtobufError
-from rerun.chunk import RrdReader
 
 from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig
@@ -35,7 +33,7 @@ from roadperc_stream.view.rerun.pair import BASE, NEW, Opening, arrange_pair
 from roadperc_stream.view.rerun.pictures import given
 from roadperc_stream.view.rerun.timelines import set_log_time, time_panel
 from roadperc_stream.view.rerun.tree import Entry, SceneState
-from roadperc_stream.view.rerun.viewer import URL, ending_at_once, start_viewer
+from roadperc_stream.view.rerun.viewer import URL, ending_at_once, saving, start_viewer
 from roadperc_stream.view.result_frames import TableTimes, nothing_shown, require_shown
 
 FRAME: Final = "frame"
@@ -98,24 +96,8 @@ def save_recording(
     require_free(target, force=force, source=log.LogFile.of(path).name, suffix=".rrd")
     runs = _opened(path, overrides, shown)
     recording = _recording(log.LogFile.of(path).name, _LARGE_CHUNKS)
-    with completing(target, force=force) as temporary:
-        try:
-            recording.save(temporary)
-            exported = _export(recording, runs, progress, shown, arrange_early=False)
-            recording.disconnect()
-            _check(temporary)
-        except RuntimeError as error:  # raised by the SDK
-            raise TargetError(f"{target}: the recording is incomplete; check the free disk space") from error
-        finally:
-            recording.disconnect()
-    return exported
-
-
-def _check(path: Path) -> None:
-    """Read the end of a recording, because the SDK does not report a write that failed (RuntimeError)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the reader warns of a file without its end
-        RrdReader(path).store()
+    with completing(target, force=force) as temporary, saving(recording, temporary) as check:
+        return _export(recording, runs, progress, shown, arrange_early=False, check=check)
 
 
 _Run = tuple[LogSummary, RoleAssignment]
@@ -136,11 +118,17 @@ def _opened(path: log.AnyLog, overrides: Mapping[str, str], shown: Opening) -> d
 
 
 def _export(
-    recording: rr.RecordingStream, runs: Mapping[str, _Run], progress: Progress, shown: Opening, *, arrange_early: bool
+    recording: rr.RecordingStream,
+    runs: Mapping[str, _Run],
+    progress: Progress,
+    shown: Opening,
+    *,
+    arrange_early: bool,
+    check: Callable[[], None] = lambda: None,
 ) -> Exported:
-    """Log one or two runs and the blueprint."""
+    """Log one or two runs and the blueprint; ``check`` raises the errors of what was sent."""
     senders = [_Sender(recording, *run, root, shown.stop) for root, run in runs.items()]
-    frames = [_send(sender, progress, arrange_early=arrange_early) for sender in senders]
+    frames = [_send(sender, progress, check, arrange_early=arrange_early) for sender in senders]
     if shown.new is None:
         senders[0].arrange()
     else:
@@ -156,7 +144,7 @@ def _recording(path: Path, batches: rr.ChunkBatcherConfig | None = None) -> rr.R
     return recording
 
 
-def _send(sender: "_Sender", progress: Progress, *, arrange_early: bool) -> int:
+def _send(sender: "_Sender", progress: Progress, check: Callable[[], None], *, arrange_early: bool) -> int:
     """Log all messages, and count the frames."""
     summary = sender.summary
     expected = sum(summary.counts[c.source_id] for c in summary.channels if c.topic == sender.reference)
@@ -166,6 +154,7 @@ def _send(sender: "_Sender", progress: Progress, *, arrange_early: bool) -> int:
         sender.send(log_time_ns, tuple(messages))
         if count % _MOST_WAITING == 0:
             sender.recording.flush()
+            check()
         if arrange_early and frames == 1 and sender.frame == 1:  # the first frame has most entities
             sender.arrange()
         frames = max(frames, sender.frame + 1)

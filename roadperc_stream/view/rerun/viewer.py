@@ -1,14 +1,21 @@
-"""Starts the Rerun viewer."""
+"""Starts the Rerun viewer, and saves a recording through a pipe: the SDK may wait forever for a full disk."""
 
+import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from io import FileIO
+from pathlib import Path
 from time import monotonic, sleep
 from typing import Final
+
+import rerun as rr
 
 from roadperc_stream.errors import RoadpercError
 from roadperc_stream.system.process import ending_signals
@@ -65,3 +72,49 @@ def _listening() -> bool:
     except OSError:
         return False
     return True
+
+
+_PIECE_BYTES: Final = 2**20
+
+
+@contextmanager
+def saving(recording: rr.RecordingStream, path: Path) -> Iterator[Callable[[], None]]:
+    """Save a recording through a pipe to a file, which is complete if no error is raised.
+
+    Yields:
+        A check that the file has all bytes from the pipe; it raises the same errors.
+
+    Raises:
+        OSError: the SDK cannot open the pipe, or the file cannot be completed, as on a full disk.
+    """
+    readable, writable = os.pipe()
+    with FileIO(readable) as pipe, ThreadPoolExecutor(1, "recording") as thread, FileIO(writable, "wb") as end:
+        try:
+            copied = thread.submit(_copy, pipe, path)
+            thread.submit(_drain, pipe)
+            _open(recording, end)
+            yield lambda: copied.result() if copied.done() else None
+        finally:
+            recording.disconnect()
+    copied.result()
+
+
+def _open(recording: rr.RecordingStream, end: FileIO) -> None:
+    """Save a recording into the pipe. From here on, only the SDK holds this end."""
+    try:
+        recording.save(f"/dev/fd/{end.fileno()}")
+    except RuntimeError as error:  # raised by the SDK
+        raise OSError(str(error)) from error
+    finally:
+        end.close()
+
+
+def _copy(pipe: FileIO, path: Path) -> None:
+    with path.open("wb") as file:
+        shutil.copyfileobj(pipe, file, _PIECE_BYTES)
+
+
+def _drain(pipe: FileIO) -> None:
+    """Empty the pipe after a failed copy, so that the SDK can disconnect."""
+    while pipe.read(_PIECE_BYTES):
+        pass
