@@ -181,7 +181,8 @@ def test_each_worst_frame_has_one_picture(tmp_path, moved):
     assert len(page.images) == 3  # the worst frame is also at the top
     assert all(image.startswith("data:image/jpeg;base64,/9j/") for image in page.images)
     captions = " ".join(page.text.split())
-    assert "1. frame 0 at 0.000 s turn error 1.0000 deg 100 relevant effects" in captions
+    assert "1. frame 0 at 0.000 s stereo disparity error" in captions  # as the report names it
+    assert "2. frame 1 at" in captions
     assert "somewhere" not in captions
     assert "in.mcap" in captions
 
