@@ -96,6 +96,7 @@ def _with_depth(frame: Frame, sensor_m: Float32 | None, matched: StereoDepth | A
             ego_T_depth_camera=frame.ego_T_left,
             raw_depth_m=matched.depth_m,
             depth_source="stereo",
+            inverse_depth_std=matched.inverse_std,
         )
     return replace(
         frame,

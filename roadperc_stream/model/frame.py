@@ -74,6 +74,8 @@ class Frame:
     raw_depth_m: Float32 | None = field(default=None, repr=False)
     depth_limit_m: float = np.inf
     depth_source: SurfaceSource = "depth"
+    inverse_depth_std: float = 0.0
+    """Standard deviation of 1 / depth that the pixels of an object share, 1/m."""
     instances: Ids | None = field(default=None, repr=False)
     stereo: StereoDepth | Absent = field(default=_NOT_RUN, repr=False)
     problems: tuple[Reason, ...] = ()

@@ -38,10 +38,14 @@ class Absent:
 
 @dataclass(frozen=True)
 class StereoDepth:
-    """Depth from a rectified pair in the left camera's image: (H, W) metres along z, NaN unknown."""
+    """Depth from a rectified pair in the left camera's image: (H, W) metres along z, NaN unknown.
+
+    ``inverse_std`` is the standard deviation of 1 / depth that the pixels of an object share, 1/m.
+    """
 
     frame_id: str
     depth_m: Float32 = field(repr=False)
+    inverse_std: float = 0.0
 
     def __post_init__(self) -> None:
         read_only(self.depth_m, np.float32, (None, None), "depth_m")

@@ -28,6 +28,14 @@ _STEP_PX: Final = 1.0
 """Difference of neighbouring disparities, in pixels of the image, from which they belong to two objects."""
 _BASELINES_M: Final = (1e-3, 1e3)
 """Shortest and longest plausible distance between the cameras of a pair."""
+_DISPARITY_STD_PX: Final = 0.5
+"""Standard deviation of an object's disparity: wrong matches are similar at neighbouring pixels, so no mean removes it.
+
+Measured on rendered objects from 10 to 100 m, with ``fast`` at 640x480.
+"""
+_END_PX: Final = 4.0
+_MOST_AT_END: Final = 0.002
+"""Largest share of pixels at the end of the range, which is this many pixels wide."""
 _NEARER: Final = 1.1
 """Factor for points nearer than the road: bumps, and the pitch of a braking car."""
 
@@ -63,8 +71,11 @@ def match(
     count = disparities_needed(left, baseline_m, ego_T_rectified) if cfg.disparities == "auto" else cfg.disparities
     if count is None:
         return Absent(Reason("stereo", "camera_below_road"))
+    if cfg.method == "fast":
+        count = 2 * rounded_up(count / 2)
     disparity_px = _rectified_disparity(cfg, count, left, right, left_image, right_image)
-    return StereoDepth(left.frame_id, depth_of(cfg, left, baseline_m, turned_back(left, disparity_px)))
+    depth_m = depth_of(cfg, left, baseline_m, turned_back(left, disparity_px))
+    return StereoDepth(left.frame_id, depth_m, _DISPARITY_STD_PX / (left.fx * baseline_m))
 
 
 def _fault(left: Camera, right: Camera, baseline_m: float, left_image: Image, right_image: Image) -> Reason | None:
@@ -118,11 +129,26 @@ def _rectified_disparity(
     if left.lens is not None or right.lens is not None or not right.same_view(left):
         left_valid, right_valid = (rectification_maps(camera, left)[2] for camera in (left, right))
         left_grey, right_grey = resampled(left, left, left_grey), resampled(right, left, right_grey)
-    disparity_px = disparity(cfg, count, left_grey, right_grey)
+    disparity_px = _within_range(cfg, count, left_grey, right_grey)
     if left_valid is not None:
         disparity_px[~left_valid] = np.nan
     disparity_px[_hidden_from_right(disparity_px, right_valid)] = np.nan
     return disparity_px
+
+
+def _within_range(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
+    """(H, W) disparities of a rectified pair, NaN at the end of the range: there the true one may be larger.
+
+    With ``auto``, the range is doubled while many pixels are at its end: something stands before the nearest road.
+    """
+    while True:
+        disparity_px = disparity(cfg, count, left, right)
+        at_end = disparity_px > np.float32(count - _END_PX)
+        is_wide = cfg.disparities != "auto" or count >= left.shape[1]
+        if is_wide or np.count_nonzero(at_end) <= _MOST_AT_END * at_end.size:
+            disparity_px[at_end] = np.nan
+            return disparity_px
+        count *= 2
 
 
 def _hidden_from_right(disparity_px: Float32, right_valid: Mask | None) -> Mask:
@@ -139,14 +165,14 @@ def _hidden_from_right(disparity_px: Float32, right_valid: Mask | None) -> Mask:
 def disparity(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:
     """(H, W) float32 disparities of a rectified (H, W) grey pair: left column minus right column, NaN unknown.
 
-    ``count`` is the number of searched disparities, from 0, a multiple of 16. ``cfg.method`` is not ``off``; with
-    ``full`` and without refinement, disparities are multiples of 1/16 pixel.
+    ``count`` is the number of searched disparities, from 0: a multiple of 16, or of 32 with ``fast``. ``cfg.method``
+    is not ``off``; with ``full`` and without refinement, disparities are multiples of 1/16 pixel.
     """
     if cfg.method == "full":
         return _found(cfg, count, left, right)
     height, width = left.shape
     left, right = _halved(left), _halved(right)
-    return doubled(_found(cfg, rounded_up(count / 2), left, right), _STEP_PX)[:height, :width]
+    return doubled(_found(cfg, count // 2, left, right), _STEP_PX)[:height, :width]
 
 
 def _found(cfg: StereoConfig, count: int, left: Image, right: Image) -> Float32:

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas, with_classes
-from roadperc_stream.chain.stages.objects.points import measured_by_points, usual_heights
+from roadperc_stream.chain.stages.objects.points import measured_by_points, measured_of_class, usual_heights
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Float32
+from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.model.frame import Frame, mark
 from roadperc_stream.model.tag_tables import label_lookup
@@ -141,9 +141,13 @@ def filter_detections(
         return Absent(Reason("objects", "no_detections"))
     lookups = [None if frame.table is None else label_lookup(frame.table, d.label) for d in detections]
     chosen = _candidates(cfg, frame, detections, lookups, expected_m)
+    kind, boxes = kinds([d.label for d in detections])[0], corners(d.box_px for d in detections)
+    numbers = np.arange(len(detections))
     return Objects(
         tuple(
-            _filtered(cfg, frame, detection, lookup, candidate, k in expected_m)
+            _filtered(
+                cfg, frame, detection, lookup, candidate, boxes[:, (kind == kind[k]) & (numbers != k)], k in expected_m
+            )
             for k, (detection, lookup, candidate) in enumerate(zip(detections, lookups, chosen, strict=True))
         )
     )
@@ -179,7 +183,7 @@ def _candidates(
         more = (_usual(cfg, frame, *of_one) for of_one in zip(detections, others, needed, strict=True))
         found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
     labels = [detection.label for detection in detections]
-    return choose(labels, found, lambda region: regions.of_region(cfg, region), expected_m)
+    return choose(labels, found, lambda region: regions.of_region(cfg, region, frame.inverse_depth_std), expected_m)
 
 
 def _usual(
@@ -189,7 +193,9 @@ def _usual(
     height = (detection.box_px.y_max - detection.box_px.y_min) / frame.camera.fy
     for region in found:
         if _BY_DEPTH * region.fit > least_fit:
-            heights_m = height * np.array([regions.of_region(cfg, region).distance_m or np.nan])
+            heights_m = height * np.array(
+                [regions.of_region(cfg, region, frame.inverse_depth_std).distance_m or np.nan]
+            )
             if usual_heights(detection.label, heights_m)[0] > _LEAST_USUAL:
                 yield replace(region, fit=_BY_DEPTH * region.fit)
 
@@ -200,8 +206,10 @@ def _filtered(
     detection: Detection,
     lookup: Image | None,
     candidate: tuple[float, Measured],
+    others: Float,
     expected: bool,
 ) -> Object:
+    """The object of a detection; ``others`` are (4, K) corners of the others of its class."""
     x0, y0, x1, y1 = box = detection.box_px.rounded(frame.camera.width, frame.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # outside the image
@@ -222,17 +230,17 @@ def _filtered(
         measured = measured_by_points(cfg, frame.camera, frame.depth_m, frame.depth_limit_m, detection)
     elif frame.depth_m is not None and measured == UNKNOWN and not claimed:
         distances = of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m)
-        measured = nearest(cfg, _counted(cfg, frame, distances, of_class))
+        if cfg.distance_pixels == "region" and of_class is not None and frame.dense_depth_m is None:
+            of_points = np.where(of_class > 0, distances, np.float32(np.nan))
+            measured = measured_of_class(cfg, frame.camera, of_points, detection, others)
+        else:
+            measured = nearest(cfg, _counted(cfg, distances, of_class), frame.inverse_depth_std)
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)
 
 
-def _counted(cfg: ObjectsConfig, frame: Frame, distances_m: Float32, of_class: Image | None) -> Float32:
-    """Distances of a box's pixels that count without a region: those of the class; with lidar, the object's points."""
-    if of_class is None or cfg.distance_pixels == "box":
-        return distances_m.ravel()
-    if cfg.distance_pixels == "class" or frame.dense_depth_m is not None:
-        return distances_m[of_class > 0]
-    return regions.own_distances(np.where(of_class > 0, distances_m, np.float32(np.nan)))
+def _counted(cfg: ObjectsConfig, distances_m: Float32, of_class: Image | None) -> Float32:
+    """Distances of a box's pixels that count without a region: those of the class."""
+    return distances_m.ravel() if of_class is None or cfg.distance_pixels == "box" else distances_m[of_class > 0]
 
 
 def _mostly_beyond(frame: Frame, box: tuple[int, int, int, int], of_class: Image | None) -> bool:

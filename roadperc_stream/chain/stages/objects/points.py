@@ -6,15 +6,18 @@ separate them. The object is the cluster whose bounds fit the box best. A backgr
 something in front covers a part of it. Clusters that fit nearly as well make the distance less certain.
 """
 
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roadperc_stream.chain.stages.objects.mosaic import MARGIN, corners
+from roadperc_stream.chain.stages.objects.contact import edge_std_px
+from roadperc_stream.chain.stages.objects.mosaic import MARGIN, areas, corners
 from roadperc_stream.chain.stages.objects.regions import (
+    GAP,
     LEAST_POINTS,
+    UNKNOWN,
     Measured,
     bounds_of_groups,
     fits_of_bounds,
@@ -49,6 +52,22 @@ _OTHER: Final = 0.005
 """Weight of the case that none of the clusters is the object."""
 _UNSURE: Final = 0.5
 """Standard deviation, as a share of the distance, in that case and if no cluster is upright."""
+_MOST_GAP_M: Final = 2.0
+"""Largest gap between the distances of two points of an object, metres."""
+_COVERED: Final = 0.2
+"""Share of the points in the box of a nearer object of the class that belong to the object behind."""
+_BESIDE: Final = 0.5
+"""The same if the boxes end at the same height, so that either object may be the nearer one."""
+_ALIKE_POINTS: Final = 3
+"""Largest number of points of a group that count as independent."""
+_ALIKE_FILLED: Final = 2
+"""Power of the relative number of points, times the area, that is the weight of another group."""
+_EMPTY: Final = 0.02
+"""Weight of the case that no point is on the object."""
+_RARE: Final = 0.03
+"""Probability of hypotheses that a deviation need not cover."""
+_PART_M: Final[dict[tuple[str, ...], float]] = {("pedestrian",): 0.3, ("vehicle",): 1.5}
+"""Depth of the visible side of an object: one point is anywhere on it, metres."""
 
 
 def measured_by_points(
@@ -84,6 +103,70 @@ def measured_by_points(
     return Measured(measured.distance_m, max(measured.std_m or 0.0, _UNSURE * measured.distance_m))
 
 
+def measured_of_class(
+    cfg: ObjectsConfig, camera: Camera, distances_m: Float32, detection: Detection, others: Float
+) -> Measured:
+    """The distance of the object's group of a lidar's points, with a deviation for the other groups.
+
+    Gaps in distance separate the groups. A group in the box of a nearer object mostly belongs to that object.
+
+    Args:
+        cfg: the quantile of the distances.
+        camera: the camera of the box.
+        distances_m: (h, w) distances of the box's pixels, NaN without a point of the class.
+        detection: its box has pixels in the image.
+        others: (4, K) corners of the other detections of the class.
+    """
+    box = detection.box_px
+    x0, y0, _, _ = box.rounded(camera.width, camera.height)
+    rows, columns = np.nonzero(~np.isnan(distances_m))
+    if not len(rows):
+        return UNKNOWN
+    order = np.argsort(distances_m[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    sorted_m = distances_m[rows, columns].astype(np.float64)
+    first, last, bounds = bounds_of_groups(sorted_m, columns, rows, GAP, _MOST_GAP_M)
+    counts = last - first
+    shares = _own_shares(box, others, columns + x0, rows + y0)
+    own: Float = np.add.reduceat(shares, first) / counts
+    filled = own * counts * areas(bounds)
+    height = (box.y_max - box.y_min) / camera.fy
+    heights_m = height * sorted_m[first]
+    usual = usual_heights(detection.label, heights_m, hidden=bool((shares < 1).any()))
+    weights = own ** np.minimum(counts, _ALIKE_POINTS) * (filled / filled.max()) ** _ALIKE_FILLED * usual
+    best = int(np.argmax(weights))
+    if weights[best] <= _EMPTY:
+        return UNKNOWN
+    measured = nearest(cfg, sorted_m[first[best] : last[best]])
+    if measured.distance_m is None or measured.std_m is None:
+        return measured
+    kind = classes_of_label(detection.label) or ()
+    usual_m = _USUAL_M[kind][0] / height if kind in _USUAL_M else (1 + _UNSURE) * measured.distance_m
+    apart_m = np.append(sorted_m[first], usual_m) - measured.distance_m
+    weights = np.append(weights, _EMPTY / counts[best])
+    others_m = sqrt(float((_likely(weights) * apart_m**2).sum()))
+    part_m = _PART_M.get(kind, max(_PART_M.values())) / sqrt(counts[best])
+    return Measured(measured.distance_m, hypot(measured.std_m, others_m, part_m))
+
+
+def _likely(weights: Float) -> Float:
+    """(K,) probabilities of hypotheses by their weights; 0 for the least probable ones, ``_RARE`` together."""
+    shares: Float = weights / weights.sum()
+    order = np.argsort(shares, kind="stable")
+    shares[order[np.cumsum(shares[order]) < _RARE]] = 0.0
+    return shares
+
+
+def _own_shares(box: Box, others: Float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Float:
+    """(N,) probability that the points at columns and rows of a box are not on one of (4, K) other boxes' objects."""
+    x0, y0, x1, y1 = others[:, :, None]
+    inside = (columns >= x0) & (columns < x1) & (rows >= y0) & (rows < y1)
+    edge_px = edge_std_px(box.y_max - box.y_min)
+    share = np.where(y1 > box.y_max + edge_px, _COVERED, np.where(y1 < box.y_max - edge_px, 1.0, _BESIDE))
+    shares: Float = np.where(inside, share, 1.0).prod(axis=0)
+    return shares
+
+
 def _sampled(distances_m: Float32, first_px: tuple[int, int]) -> tuple[Float, Float, Float]:
     """Columns, rows and distances of pixels with a finite distance, evenly spaced if they are too many."""
     step = max(round(sqrt(np.count_nonzero(np.isfinite(distances_m)) / _MOST_POINTS)), 1)
@@ -107,13 +190,16 @@ def _upright(camera: Camera, columns: Float, rows: Float, distances_m: Float) ->
     return np.asarray(pairs.any(axis=1), np.bool_)
 
 
-def usual_heights(label: str, heights_m: Float) -> Float:
-    """(K,) 0 to 1: how usual heights of a box in metres are for a label; a part of an object may be visible."""
+def usual_heights(label: str, heights_m: Float, *, hidden: bool = False) -> Float:
+    """(K,) 0 to 1: how usual heights of a box in metres are for a label; a part of an object may be visible.
+
+    With ``hidden``, something covers a part of the object, and any smaller height is usual.
+    """
     usual_m = _USUAL_M.get(classes_of_label(label) or ())
     if usual_m is None:
         return np.ones_like(heights_m)
     off = np.log(heights_m / usual_m[0])
-    usual: Float = np.exp(-0.5 * (off / np.where(off > 0, usual_m[1], _HIDDEN_STD)) ** 2)
+    usual: Float = np.exp(-0.5 * (off / np.where(off > 0, usual_m[1], inf if hidden else _HIDDEN_STD)) ** 2)
     return usual
 
 

@@ -9,14 +9,12 @@ smallest share, so the pixels are divided once. If the frame has instance masks,
 The depth is smoothed first (bilateral filter: C. Tomasi and R. Manduchi, Bilateral filtering for gray and color
 images, ICCV 1998).
 
-The distance is a low quantile of the distances of the region's pixels, or of a lidar's few points in the box; the
-minimum would jump with every stray pixel. If gaps in distance separate groups of points, the object is the group whose
-bounds fill most of the box.
+The distance is a low quantile of the distances of the region's pixels; the minimum would jump with every stray pixel.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, isfinite
+from math import hypot, inf, isfinite
 from typing import Any
 
 import cv2
@@ -54,6 +52,10 @@ _ROWS_FROM_M = 40.0
 _SURE_FIT = 0.85
 _NEXT_CAR_M = 3.0
 """Standard deviation of a far region with a lower fit: about half the distance to the next car."""
+_FAR_QUANTILE = 0.75
+_WRONG = 0.5
+_DEPTH_M = 1.5
+"""Standard deviation for wrong matches of stereo: this share of how far that quantile is behind an object's depth."""
 GAP = 0.08
 """Gap between the distances of two points, as a share of the distance, beyond which they are different objects."""
 LEAST_POINTS = 3
@@ -179,13 +181,16 @@ UNKNOWN = Measured()
 """The result without a measurement."""
 
 
-def of_region(cfg: ObjectsConfig, region: Region) -> Measured:
-    """The distance of a region, from the means of its pixels over 3x3 neighbours of the region."""
+def of_region(cfg: ObjectsConfig, region: Region, inverse_std: float = 0.0) -> Measured:
+    """The distance of a region, from the means of its pixels over 3x3 neighbours of the region.
+
+    ``inverse_std`` as in ``nearest``.
+    """
     distances, noise = region.distances_m, region.noise
     if distances is None or noise is None:
         return UNKNOWN
     near, noise_of_finite = _smoothed(region.of_region[region.labels], distances, noise)
-    measured = nearest(cfg, near)
+    measured = nearest(cfg, near, inverse_std)
     if measured.distance_m is None or measured.std_m is None:
         return measured
     # Four times as fast as np.mean.
@@ -239,10 +244,11 @@ def within_range(depths_m: Float32, limit_m: float) -> Float32:
     return np.where(depths_m >= np.float32(limit_m), np.float32(np.inf), depths_m)
 
 
-def nearest(cfg: ObjectsConfig, distances_m: NDArray[np.floating[Any]]) -> Measured:
+def nearest(cfg: ObjectsConfig, distances_m: NDArray[np.floating[Any]], inverse_std: float = 0.0) -> Measured:
     """The quantile of distances, NaN unknown and infinite beyond the depth's range.
 
     The standard deviation is the spread of the pixels around the quantile, at least ``objects.min_distance_std_m``.
+    Depth of stereo has ``inverse_std``, the standard deviation of 1 / depth that the pixels share, and wrong matches.
     """
     known = distances_m[~np.isnan(distances_m)]
     if not len(known):
@@ -252,7 +258,12 @@ def nearest(cfg: ObjectsConfig, distances_m: NDArray[np.floating[Any]]) -> Measu
     if not isfinite(chosen):
         return Measured(beyond_range=True)
     spread = beside - least
-    return Measured(chosen, max(spread / 2, cfg.min_distance_std_m) if isfinite(spread) else None)
+    std_m = max(spread / 2, cfg.min_distance_std_m) if isfinite(spread) else None
+    if not inverse_std:
+        return Measured(chosen, std_m)
+    (far,) = ranked(known, _FAR_QUANTILE)
+    wrong_m = _WRONG * max(far - chosen - _DEPTH_M, 0.0)
+    return Measured(chosen, hypot(std_m, inverse_std * chosen**2, wrong_m) if std_m else None)
 
 
 def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
@@ -263,29 +274,8 @@ def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
     return [parted.item(rank) for rank in ranks]
 
 
-def own_distances(distances_m: Float32) -> Float32:
-    """(N,) distances of the object's points.
-
-    Args:
-        distances_m: (h, w) distances of the pixels of a box, NaN without a point or at points of another class.
-
-    Returns:
-        The distances of the group that fills most of the box; those of all points if no group has three points.
-    """
-    rows, columns = np.nonzero(~np.isnan(distances_m))
-    order = np.argsort(distances_m[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    sorted_m = distances_m[rows, columns]
-    if not len(sorted_m):
-        return sorted_m
-    first, last, bounds = bounds_of_groups(sorted_m, columns, rows, GAP)
-    filled = np.where(last - first >= LEAST_POINTS, areas(bounds), 0.0)
-    best = int(np.argmax(filled))
-    return sorted_m[first[best] : last[best]] if filled[best] > 0 else sorted_m
-
-
 def bounds_of_groups(
-    sorted_m: NDArray[np.floating[Any]], columns: NDArray[Any], rows: NDArray[Any], gap: float
+    sorted_m: NDArray[np.floating[Any]], columns: NDArray[Any], rows: NDArray[Any], gap: float, most_gap_m: float = inf
 ) -> tuple[Indices, Indices, Float]:
     """The groups of points between gaps in distance: first and end positions (K,), and bounds (4, K) in the image.
 
@@ -294,8 +284,9 @@ def bounds_of_groups(
         columns: (N,) their columns.
         rows: (N,) their rows.
         gap: smallest gap, as a share of the distance.
+        most_gap_m: the smallest gap is at most this one, metres.
     """
-    first = np.flatnonzero(np.append(True, sorted_m[1:] > sorted_m[:-1] * (1 + gap)))
+    first = np.flatnonzero(np.append(True, np.diff(sorted_m) > np.minimum(gap * sorted_m[:-1], most_gap_m)))
     last = np.append(first[1:], len(sorted_m))
     low = [np.minimum.reduceat(places, first) for places in (columns, rows)]
     high = [np.maximum.reduceat(places, first) + 1 for places in (columns, rows)]

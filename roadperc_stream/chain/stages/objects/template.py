@@ -199,6 +199,7 @@ def _measured(cfg: ObjectsConfig, frame: Frame, box_px: Box) -> Measured:
         return Measured()
     box = box_px.rounded(frame.camera.width, frame.camera.height)
     if cfg.template_distance == "ray":
-        return nearest(cfg, of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m))
+        return nearest(cfg, of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m), frame.inverse_depth_std)
     x0, y0, x1, y1 = box
-    return nearest(cfg, within_range(frame.depth_m[y0:y1, x0:x1], frame.depth_limit_m))
+    depths_m = within_range(frame.depth_m[y0:y1, x0:x1], frame.depth_limit_m)
+    return nearest(cfg, depths_m, frame.inverse_depth_std)

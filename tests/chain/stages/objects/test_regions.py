@@ -1,4 +1,4 @@
-"""Regions of one class, divided at jumps of the depth, on cars drawn by hand; lidar points."""
+"""Regions of one class, divided at jumps of the depth, on cars drawn by hand."""
 
 from dataclasses import replace
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from roadperc_stream.chain.stages.objects import regions
 from roadperc_stream.chain.stages.objects.mosaic import Mosaic, cut_out
 from roadperc_stream.chain.stages.objects.regions import (
     JUMPS,
@@ -14,7 +13,6 @@ from roadperc_stream.chain.stages.objects.regions import (
     divide,
     find_regions,
     of_region,
-    own_distances,
 )
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera
@@ -165,37 +163,3 @@ def test_each_region_of_each_jump_once():
         assert len(set(found)) == len(found)
         assert set(found) == set.union(*expected)
         assert {r for r, way in zip(found, division.ways, strict=True) if way == 0} == expected[0]
-
-
-WHOLE = (12.6, range(3, 28, 6), range(2, 58, 2))
-CORNER = (8.0, range(15, 28, 6), range(0, 12, 2))
-
-
-def box_of(*groups):
-    """(30, 60) distances: groups (distance, rows, columns), each 1 % deeper at its far end, else NaN."""
-    distances = np.full((30, 60), np.nan, np.float32)
-    for distance_m, rows, columns in groups:
-        u, v = np.meshgrid(columns, rows)
-        distances[v, u] = distance_m * np.linspace(1.0, 1.01, u.size).reshape(u.shape)
-    return distances
-
-
-def test_a_nearer_car_in_a_corner_of_the_box_is_another_object():
-    assert own_distances(box_of(WHOLE, CORNER)).min() == pytest.approx(12.6)
-
-
-def test_two_points_are_an_object_only_without_others():
-    few = (5.0, (2, 29), (0, 59))
-    assert own_distances(box_of((5.0, (2,), (0, 59)), CORNER)).min() == pytest.approx(8.0)
-    assert len(own_distances(box_of((5.0, (2,), (0, 59))))) == 2
-    assert own_distances(box_of(few, CORNER)).min() == pytest.approx(5.0)
-    assert own_distances(np.full((4, 5), np.nan, np.float32)).shape == (0,)
-    assert own_distances(np.full((0, 5), np.nan, np.float32)).shape == (0,)
-
-
-def test_a_distance_is_the_mean_of_the_known_ones_around_it():
-    of_region = np.array([[1, 1, 1, 1], [0, 1, 1, 0]], bool)
-    distances = np.float32([[1, 2, np.nan, np.inf], [100, 6, 9, 100]])
-    near, noise = regions._smoothed(of_region, distances, np.float32([[1, 2, 3, 4], [5, 6, 7, 8]]))
-    assert near.tolist() == [3.0, 4.5, np.inf, 4.5, np.float32(17 / 3)]
-    assert noise.tolist() == [1.0, 2.0, 6.0, 7.0]

@@ -1,0 +1,45 @@
+"""Deviations on rendered drives: few values are wrong by more than three of them, and they are not merely large."""
+
+import polars as pl
+import pytest
+
+from roadperc_stream.cli import convert, render, replay
+
+pytestmark = pytest.mark.long
+
+
+def replayed(folder, *options):
+    """The rows of the kept objects of a rendered drive."""
+    dump, log_in, out = (folder / name for name in ("dump", "in.mcap", "out.mcap"))
+    size = ("--size", "640x480", "--rate", "10")
+    assert render.main([str(dump), *size, *options]) == 0
+    assert convert.main([str(dump), str(log_in), "--quiet"]) == 0
+    assert replay.main([str(log_in), str(out), "--quiet", "--results-only"]) == 0
+    return pl.read_parquet(out.with_suffix(".objects.parquet")).filter("kept")
+
+
+@pytest.mark.parametrize(
+    ("options", "most_beyond", "most_std_m"),
+    [
+        (["--scene", "town", "--seconds", "3", "--seed", "541", "--lidar", "--without", "right"], 0.05, 0.5),
+        (["--scene", "town", "--seconds", "3", "--seed", "542"], 0.07, 5.0),
+    ],
+    ids=["lidar", "stereo"],
+)
+def test_distances_without_a_depth_camera(tmp_path, options, most_beyond, most_std_m):
+    objects = replayed(tmp_path, *options, "--without", "depth", "--tag-noise", "0.02")
+    known = objects.select(off_m=(pl.col("distance_m") - pl.col("true_distance_m")).abs(), std_m="distance_std_m")
+    known = known.drop_nulls()
+    assert known.height > 100
+    assert (known["off_m"] > 3 * known["std_m"]).mean() <= most_beyond
+    assert known["std_m"].median() <= most_std_m
+
+
+def test_an_object_nearer_than_the_visible_road_is_measured_by_stereo(tmp_path):
+    """The nearest visible road is 5 m ahead. The car ahead comes to 2 m."""
+    options = ("--scene", "straight", "--lead-brakes", "--fov", "82", "--seconds", "5", "--seed", "543")
+    objects = replayed(tmp_path, *options, "--size", "640x200", "--without", "depth")
+    near = objects.filter((pl.col("true_distance_m") < 4) & (pl.col("class_ratio") > 0.5))
+    error_m = (near["distance_m"] - near["true_distance_m"]).abs()
+    assert len(near) > 3
+    assert error_m.median() < 0.3
