@@ -44,7 +44,7 @@ test: $(VENV)/.installed  # all tests except the long ones, or those of TESTS=te
 test-long: $(VENV)/.installed  # rendered scenes, killed replays, the commands of all pages: 4 minutes
 	$(BIN)/python -m pytest $(PARALLEL) -m 'long and not accuracy' $(TESTS)
 
-HOSTILE := tests/hostile/test_terminal.py tests/info tests/batch/test_lock.py tests/eval/test_report.py \
+HOSTILE := tests/hostile/test_terminal.py tests/info tests/batch/test_lock.py tests/eval/report/test_report.py \
 	tests/resume/test_resume.py tests/tools/test_conversion.py tests/view/rerun/test_saving.py
 test-hostile: $(VENV)/.installed  # tests of reading, writing and printing, in an unusual environment
 	.ci/in-hostile-environment $(BIN)/python -m pytest $(PARALLEL) -m 'commands and not accuracy and not long' $(HOSTILE)
