@@ -1,5 +1,6 @@
 """The Python API gives the same results as the commands."""
 
+import pydoc
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 import roadperc_stream as rp
 from roadperc_stream.input.arrays import depth_image
+from roadperc_stream.model import Object, Objects
 from roadperc_stream.output.tables import sidecar_path
 
 SAMPLE = Path(__file__).parents[1] / "logs" / "sample.mcap"
@@ -50,6 +52,17 @@ def test_metrics_of_nothing_name_the_table(tmp_path):
         rp.read_metrics(tmp_path / "bad.parquet")
 
 
+def test_a_configuration_in_any_form(tmp_path):
+    file = tmp_path / "settings.toml"
+    file.write_text("[lanes]\nhold_s = 0.8\n", encoding="utf-8")
+    loaded = rp.load_config(file)
+    for config in (loaded, file, str(file), {"lanes": {"hold_s": 0.8}}):
+        chain = rp.Chain(CAMERA, config)
+        assert chain._cfg == loaded
+    with pytest.raises(rp.RoadpercError, match=r"no setting lanes\.hold; did you mean lanes\.hold_s\?"):
+        rp.Chain(CAMERA, {"lanes": {"hold": 1}})
+
+
 def road(height_m=1.5):
     """Depth and tags (CARLA 0.9.15) of a straight lane with lines 1.8 m to either side."""
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
@@ -88,6 +101,16 @@ def test_a_chain_counts_segments_and_refuses_the_same_stamp_twice():
     assert chain.segment == 0
 
 
+def test_the_caller_may_use_the_arrays_again():
+    depth_m, tags = road()
+    first, second = rp.Chain(CAMERA, tag_table="0.9.15"), rp.Chain(CAMERA, tag_table="0.9.15")
+    expected = first.step(0, depth_m=depth_m, tags=tags)
+    found = second.step(0, depth_m=depth_m, tags=tags)
+    depth_m[:], tags[:] = 1.0, 0
+    assert found.lanes.side("left").offset_m == expected.lanes.side("left").offset_m
+    assert np.array_equal(found.drivable, expected.drivable)
+
+
 def test_detections_are_filtered_and_measured():
     depth_m, tags = road()
     depth_m[100:140, 150:180], tags[100:140, 150:180] = 12.0, 14
@@ -97,6 +120,22 @@ def test_detections_are_filtered_and_measured():
     found, dropped = result.objects.objects
     assert (found.kept, dropped.kept) == (True, False)
     assert found.distance_m == pytest.approx(12.0, abs=0.3)
+
+
+def test_an_absent_output_says_why():
+    lanes = rp.Chain(CAMERA).step(0).lanes
+    assert isinstance(lanes, rp.Absent)
+    assert str(lanes) == "lanes: no segmentation"
+
+
+def test_a_frame_fits_on_a_screen():
+    _, frame = rp.frames(SAMPLE, max_frames=2)
+    assert str(frame) == f"frame 1: {frame.result}"
+    assert frame.result.odometry.matches is not None
+    assert len(repr(frame.result.odometry)) < 1000
+    assert len(repr(frame.result.lanes)) < 2000
+    assert "array" not in repr(frame.input.image)
+    assert len(repr(frame)) < 21_000
 
 
 def test_a_pose_makes_the_camera_mounted():
@@ -169,6 +208,36 @@ def test_a_stamp_or_detection_of_another_type_is_refused(stamp_ns, detections, m
         rp.Chain(CAMERA).step(stamp_ns, detections=detections)
 
 
+@pytest.mark.parametrize("camera", ["cam", np.eye(3)])
+def test_a_camera_of_another_type_is_refused(camera):
+    with pytest.raises(TypeError, match=r"^camera: expected a Camera, found (str|ndarray)"):
+        rp.Chain(camera)
+    with pytest.raises(TypeError, match=r"right_camera: expected a Camera, found (str|ndarray)"):
+        rp.Chain(CAMERA, right_camera=camera)
+
+
+def test_a_camera_with_invalid_numbers_is_refused():
+    with pytest.raises(ValueError, match=r"camera: fx 0: expected 0\.32 to 320000 pixels"):
+        rp.Chain(rp.Camera("camera", 320, 240, 0, 200, 159.5, 119.5))
+    with pytest.raises(ValueError, match="camera: expected an image of one pixel or more, found 0x240"):
+        rp.Chain(rp.Camera("camera", 0, 240, 200, 200, 159.5, 119.5))
+
+
+def test_stamps_and_tags_may_be_of_any_integer_type():
+    depth_m, tags = road()
+    expected = rp.Chain(CAMERA, tag_table="0.9.15").step(7, depth_m=depth_m, tags=tags)
+    for kind in (np.int64, np.uint16):
+        found = rp.Chain(CAMERA, tag_table="0.9.15").step(np.int64(7), depth_m=depth_m, tags=tags.astype(kind))
+        assert type(found.stamp_ns) is int
+        assert found.lanes.side("left").offset_m == expected.lanes.side("left").offset_m
+
+
+def test_help_names_the_type_of_arrays():
+    text = pydoc.render_doc(rp.Chain)
+    assert "ArrayLike | None" in text
+    assert "_SupportsArray" not in text
+
+
 def test_importing_the_package_imports_nothing_else():
     code = "import sys, roadperc_stream as rp; dir(rp);"
     code += "print(sorted(sys.modules.keys() & {'numpy', 'cv2', 'polars', 'typing'}))"
@@ -179,6 +248,11 @@ def test_importing_the_package_imports_nothing_else():
     assert rp.__version__
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         rp.nothing  # noqa: B018
+
+
+def test_every_public_name_is_there():
+    for name in rp.__all__:
+        assert getattr(rp, name) is not None
 
 
 @pytest.mark.parametrize("nothing", [0.0, -1.0, -np.inf, np.nan])
@@ -211,3 +285,15 @@ def test_a_mounting_has_the_signs_of_its_page():
 def test_a_camera_that_does_not_look_ahead_is_refused(pose, found):
     with pytest.raises(ValueError, match=f"the camera looks {found} from ego's x; .* pass rp.mounting"):
         rp.Chain(CAMERA, ego_T_camera=pose)
+
+
+def test_a_result_prints_as_one_line():
+    depth_m, tags = road()
+    result = rp.Chain(CAMERA, tag_table="0.9.15").step(0, depth_m=depth_m, tags=tags)
+    assert str(result.lanes).startswith("lanes: left measured at +1.7")
+    assert str(result.surface).startswith("surface: depth, camera 1.50 m above the road, pitch ")
+    assert "\n" not in str(result)
+    assert str(result).endswith("; objects: no detections; odometry: no image")
+    car = Object(rp.Detection("car", rp.Box(0, 0, 4, 4), score=1.0), kept=True, distance_m=12.34)
+    assert str(Objects((car,))) == f"objects: 1 of 1 kept, nearest: {car}"
+    assert str(car) == "car at 12.3 m"

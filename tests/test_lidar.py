@@ -9,11 +9,11 @@ import pytest
 from roadperc_stream import geometry as g
 from roadperc_stream import log
 from roadperc_stream.chain.step import State
-from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry.registration import depth_of_points
 from roadperc_stream.geometry.rotations import rotation_from_rpy
-from roadperc_stream.model import DepthImage, PointCloud, StereoDepth, Transform
+from roadperc_stream.model import Absent, DepthImage, PointCloud, Reason, StereoDepth, Transform
 from roadperc_stream.output.encoding import encode_points, encode_transforms
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
@@ -114,6 +114,36 @@ def test_a_lidar_that_misses_the_road_gives_the_assumed_plane_and_distances(coun
     assert result.objects.objects[0].distance_m == pytest.approx(10.1, abs=0.3)
 
 
+def test_collinear_points_and_points_beyond_the_range_give_the_assumed_plane():
+    """Points of one ring of a lidar, for example, are collinear."""
+    road_points = g.intersect_plane(CAMERA, np.array([[200.0, 420.0], [300.0, 420.0], [400.0, 420.0]]), ROAD.plane)
+    result = run(lidar_frame(points=cloud(road_points), mounted=True))
+    assert result.surface.source == "assumed"
+    assert texts(result.problems) == (
+        "surface: the mounting gives the plane: no plane through 3 road points fits 20% of them",
+    )
+    result = run(lidar_frame(), load_config(None, ("surface.max_depth_m=1",)))
+    assert result.surface.source == "assumed"
+    assert result.problems[0].cause == Reason("surface", "too_few_road_points", (0,))
+
+
+@pytest.mark.parametrize("mounted", [True, False])
+def test_a_depth_camera_that_misses_the_road_gives_the_mountings_plane_or_none(mounted):
+    depth_m = np.full_like(ROAD.depth_m(), np.nan)
+    depth_m[400:402, 320] = 3.0
+    depth = DepthImage(CAMERA.frame_id, lambda: (depth_m, np.inf))
+    result = run(lidar_frame(points=None, depth_image=depth, mounted=mounted))
+    missed = Reason("surface", "too_few_road_points", (2,))
+    if mounted:
+        assert result.surface.source == "assumed"
+        assert result.lanes.side("left").status == "measured"
+        assert Reason("surface", "plane_assumed", ("the mounting",), missed) in result.problems
+        assert result.occupancy == Absent(Reason("occupancy", "heights_unknown"))
+    else:
+        assert result.surface == Absent(missed)
+        assert result.drivable == Absent(Reason("drivable", "no_surface", cause=missed))
+
+
 def test_the_drivable_pixels_are_dense():
     frame = lidar_frame()
     dense = run(replace(frame, points=None, depth_image=ROAD.frame().depth_image))
@@ -122,12 +152,26 @@ def test_the_drivable_pixels_are_dense():
     assert both / either > 0.98
 
 
+def test_the_spline_uses_every_point():
+    result = run(lidar_frame(), load_config(None, ("surface.model=spline",)))
+    assert result.surface.model == "spline"
+    x = np.arange(41)
+    np.testing.assert_allclose(result.surface.height_grid.z_m[10, x], 0.0, atol=0.01)
+
+
 def test_the_grid_is_free_on_the_road_and_occupied_by_the_car():
     grid = run(lidar_frame()).occupancy
     x = ((np.arange(grid.cells.shape[1]) + 0.5) * grid.resolution_m) + grid.x_min_m
     ahead = np.abs((np.arange(grid.cells.shape[0]) + 0.5) * grid.resolution_m + grid.y_min_m) < 0.3
     assert (grid.cells[ahead][:, (x > 3) & (x < 9)] == 0).all()
     assert (grid.cells[ahead][:, (x > 9.7) & (x < 10.3)] == 100).any()
+
+
+def test_without_segmentation_the_lower_image_gives_the_plane():
+    result = run(lidar_frame(segmentation=None))
+    assert result.surface.source == "lower_image"
+    assert result.surface.camera_height_m == pytest.approx(ROAD.height_m, abs=1e-3)
+    assert result.drivable == Absent(Reason("drivable", "no_segmentation_sparse_depth"))
 
 
 def test_a_depth_sensor_comes_first_then_stereo_then_the_lidar(monkeypatch):
@@ -211,6 +255,26 @@ def test_the_transform_tree_places_the_points(tmp_path, edges, frame_id, ego_T_p
     assert set(table["lane_left_status"]) == {"measured"}
 
 
+def test_a_frame_outside_the_tree_is_reported(tmp_path):
+    _, table = replayed(log_of(tmp_path / "in.mcap", EGO_T_LIDAR, "roof"))
+    assert table["surface_source"].to_list() == ["assumed", "estimated"]
+    assert table["missing"].to_list() == [[]] * 2
+    for reasons in table["reasons"].to_list():
+        assert {"source": "lidar", "code": "no_transform", "values": ["roof"], "cause": ""} in reasons
+
+
+def test_a_lidar_slower_than_the_camera_is_missing_in_between(tmp_path):
+    source = log_of(tmp_path / "in.mcap", np.eye(4), "ego", frames=4)
+    kept = [
+        m
+        for m in log.read(log.summarise(source))
+        if m.channel.topic != "/lidar/points" or m.log_time_ns % (2 * logs.STEP_NS) == 0
+    ]
+    _, table = replayed(write(tmp_path / "half.mcap", kept), "half_out.mcap")
+    assert table["missing"].to_list() == [[], ["lidar"], [], ["lidar"]]
+    assert table["surface_source"].to_list() == ["lidar", "estimated", "lidar", "estimated"]
+
+
 @pytest.mark.parametrize(
     ("frames_before", "edges"),
     [(0, [("lidar", "lidar")]), (0, [("camera", "ego")]), (1, [("a", "b"), ("b", "a")]), (1, [("camera", "ego")])],
@@ -228,3 +292,26 @@ def test_a_loop_of_transforms_is_left_out_and_reported_with_topic_and_stamp(tmp_
     assert note.startswith(f"/tf: message at {stamp} ns: a loop of transforms ({parent!r} to {child!r}")
     table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
     assert table["surface_source"].to_list() == ["lidar"] * 2
+
+
+def renamed(source, name, topics):
+    """The log with its lidar's messages on other topics."""
+    with log.LogWriter(source.parent / name) as writer:
+        for message in log.read(log.summarise(source)):
+            for topic in topics if message.channel.topic == "/lidar/points" else (message.channel.topic,):
+                writer.write(replace(message, channel=replace(message.channel, topic=topic)))
+    return source.parent / name
+
+
+def test_points_of_unassigned_topics_are_reported_and_not_used(tmp_path):
+    source = log_of(tmp_path / "in.mcap", np.eye(4), "ego")
+    others = renamed(source, "others.mcap", ("/velodyne", "/rear", "/side", "/top"))
+    summary = replay(others, tmp_path / "out.mcap", ReplayConfig())
+    candidates = ", ".join(f"{topic} (foxglove.PointCloud)" for topic in ("/rear", "/side", "/top"))
+    assert summary.notes == (f"role lidar: not assigned; candidates: {candidates}, ...: --topic lidar=/rear",)
+    table = pl.read_parquet(sidecar_path(tmp_path / "out.mcap", "metrics"))
+    assert set(table["surface_source"]) == {"assumed", "estimated"}
+    both = renamed(source, "both.mcap", ("/lidar/points", "/velodyne"))
+    assert replay(both, tmp_path / "both_out.mcap", ReplayConfig()).notes == ()
+    _, table = replayed(others, "assigned.mcap", overrides={"lidar": "/velodyne"})
+    assert set(table["surface_source"]) == {"lidar"}

@@ -1,6 +1,11 @@
 """Whole replays: messages, tables, equal bytes, cuts, and errors."""
 
 import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
 
 import polars as pl
 import pyarrow.parquet as pq
@@ -153,6 +158,17 @@ def test_a_cut_has_the_earlier_calibration_and_replays_to_itself(source, cut):
     assert set(metrics(target)["camera_height_m"].round(2)) == {1.4}
 
 
+def test_only_the_last_calibration_before_a_cut_is_carried(tmp_path):
+    items = logs.items()
+    repeated = [logs.Item("calibration", logs.START_NS + k * STEP_NS, items[0].data) for k in range(1, 4)]
+    ordered = sorted([*items, *repeated], key=lambda item: item.stamp_ns)
+    source = logs.write(tmp_path / "in.mcap", ordered)
+    target, _ = run(source, time_range=TimeRange(start_s=0.12))
+    carried = by_topic(target)["/camera/front/calibration"]
+    assert [m.log_time_ns - logs.START_NS for m in carried] == [2 * STEP_NS, 3 * STEP_NS]
+    assert run(target, "again")[0].read_bytes() == target.read_bytes()
+
+
 def late(items, role, delay_ns):
     """The messages of a role arrive later, with the same stamps."""
     return sorted(((i.stamp_ns + delay_ns * (i.role == role), k, i) for k, i in enumerate(items)), key=lambda x: x[:2])
@@ -170,6 +186,24 @@ def test_a_late_sensor_is_not_cut_off_its_frame(tmp_path, cut):
     assert run(target, "again")[0].read_bytes() == target.read_bytes()
 
 
+def test_a_calibration_after_the_cut_is_not_used(tmp_path):
+    items = logs.items()
+    ordered = [*items[1:], logs.Item("calibration", logs.START_NS + 10 * STEP_NS, items[0].data)]
+    source = logs.write(tmp_path / "in.mcap", ordered)
+    assert run(source)[1].frames == 6
+    with pytest.raises(ChannelError, match="no calibration"):
+        run(source, "cut", time_range=TimeRange(frames=3))
+
+
+def test_the_error_names_the_fault_of_a_calibration(tmp_path):
+    items = logs.items()
+    items[0] = logs.Item("calibration", logs.START_NS, b"\xff\xff")
+    with pytest.raises(
+        ChannelError, match=r"no calibration .*; /camera/front/calibration: .* are not a valid foxglove"
+    ):
+        run(logs.write(tmp_path / "in.mcap", items))
+
+
 @pytest.mark.parametrize("table", ["out.metrics.parquet", "out.objects.parquet"])
 def test_tables_are_not_overwritten_either(source, table):
     source.with_name(table).write_bytes(b"mine")
@@ -181,6 +215,18 @@ def test_tables_are_not_overwritten_either(source, table):
     with pytest.raises(TargetError, match="is a folder"):
         run(source, force=True)
     assert not source.with_name("out.mcap").exists()
+
+
+@pytest.mark.parametrize("name", ["out.mcap", "out.objects.parquet"])
+def test_a_file_that_another_replay_wrote_stays(source, name):
+    def other(done, expected):
+        if done == expected:
+            source.with_name(name).write_bytes(b"theirs")
+
+    with pytest.raises(TargetError, match=f"{name}: exists; pass --force"):
+        run(source, progress=other)
+    assert {path.name for path in source.parent.iterdir()} == {"in.mcap", name}
+    assert source.with_name(name).read_bytes() == b"theirs"
 
 
 @pytest.mark.parametrize("table", ["metrics", "objects"])
@@ -196,6 +242,19 @@ def test_a_full_disk_at_the_end_leaves_neither_log_nor_table(source, monkeypatch
     with pytest.raises(TargetError, match=rf"out\.{table}\.parquet: No space left on device"):
         run(source)
     assert [path.name for path in source.parent.iterdir()] == ["in.mcap"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_leaves_no_file(tmp_path, number):
+    source = logs.write(tmp_path / "in.mcap", logs.items(60, road=replace(logs.SMALL, width=160, height=120)))
+    command = [sys.executable, "-c", "import sys; from roadperc_stream.cli.launch import replay; sys.exit(replay())"]
+    process = subprocess.Popen([*command, str(source), str(tmp_path / "out.mcap")], stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not list(tmp_path.glob(".out*")):
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (1, "error: interrupted\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["in.mcap"]
 
 
 def test_results_only(source):
@@ -222,6 +281,28 @@ def test_a_dropped_sensor_is_named_in_its_frame(tmp_path):
         "values": [],
         "cause": "no_depth",
     }
+
+
+@pytest.mark.parametrize("role", ["depth", "segmentation", "detections"])
+def test_a_role_the_log_does_not_fill_is_null_with_a_reason(tmp_path, role):
+    source = logs.write(tmp_path / "in.mcap", logs.items(roles=tuple(r for r in logs.ALL if r != role)))
+    target, _ = run(source)
+    table = metrics(target)
+    assert table.height == 6
+    if role == "depth":
+        assert table["surface_source"].to_list() == ["assumed"] + ["estimated"] * 5
+    if role == "segmentation":
+        assert table["lane_left_offset_m"].null_count() == 6
+        assert table["detections_unjudged"].to_list() == [2] * 6
+        reasons = [
+            "stereo.no_right_image",
+            "lanes.no_segmentation",
+            "surface.no_segmentation_lower_image",
+            "objects.no_segmentation_not_filtered",
+        ]
+        assert table["reason_codes"].to_list() == [reasons] * 6
+        texts = [m.data for m in by_topic(target)["/perception/log"]]
+        assert len(texts) == len(reasons), "each is logged once, not in every frame"
 
 
 def test_without_images_depth_makes_the_frames(tmp_path):
@@ -297,3 +378,30 @@ def test_a_log_that_cannot_be_replayed_is_one_line_and_no_file(tmp_path, capsys,
 def test_a_time_range_or_topic_that_the_log_does_not_have_is_an_error(source, options, error, message):
     with pytest.raises(error, match=message):
         run(source, **options)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--frames", "0"], ["--only", "sonar"], ["--start", "x"], ["--start", "nan"], ["--end", "inf"], []],
+    ids=["no frames", "no stage", "no number", "nan", "inf", "no files"],
+)
+def test_wrong_usage_is_exit_code_2(arguments, capsys):
+    files = ["a", "b"] if arguments else []
+    with pytest.raises(SystemExit) as caught:
+        replay_main([*files, *arguments])
+    assert caught.value.code == 2
+    assert "usage:" in capsys.readouterr().err
+
+
+def test_the_command_prints_its_outputs(source, capsys):
+    target = source.with_name("out.mcap")
+    assert replay_main([str(source), str(target), "--only", "surface", "--set", "surface.inlier_m=0.04"]) == 0
+    out, err = capsys.readouterr()
+    assert "6 frames" in out
+    assert str(target) in out
+    assert err == ""
+    assert metrics(target)["reason_codes"].to_list()[0] == [
+        f"{stage}.switched_off" for stage in ("stereo", "odometry", "lanes", "objects", "occupancy")
+    ]
+    assert replay_main([str(source), str(target), "--force", "--quiet"]) == 0
+    assert capsys.readouterr().out == ""

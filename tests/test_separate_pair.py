@@ -168,3 +168,17 @@ def test_a_left_calibration_may_describe_the_front_camera(tmp_path, frame_id, ed
 def test_a_left_calibration_of_another_camera_needs_its_image(tmp_path, frame_id, edges, changes):
     table, _ = replayed(tmp_path, paired(frame_id, edges, **changes))
     assert "stereo.no_left_image" in table["reason_codes"].to_list()[0]
+
+
+def test_messages_beyond_2038_are_left_out_with_a_reason(tmp_path, monkeypatch):
+    at_2020, before = replayed(tmp_path, items(rectified()))
+    monkeypatch.setattr(logs, "START_NS", 2**31 * 10**9)
+    (tmp_path / "late").mkdir()
+    table, last = replayed(tmp_path / "late", items(rectified()))
+    left_out = {"/perception/stereo/depth", "/perception/occupancy"}
+    assert left_out <= set(before)
+    assert set(before) - set(last) == left_out
+    assert table["stereo_valid_ratio"].to_list() == at_2020["stereo_valid_ratio"].to_list()
+    for reasons in table["reasons"].to_list():
+        assert [(r["source"], r["code"]) for r in reasons] == [("stereo", "not_written"), ("occupancy", "not_written")]
+        assert reasons[0]["values"] == ["2147483647999999999"]

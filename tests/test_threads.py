@@ -1,5 +1,6 @@
 """Replays in several threads: the same files, order and errors as with one thread; no partial files or threads stay."""
 
+import errno
 import random
 import signal
 import subprocess
@@ -7,17 +8,22 @@ import sys
 import threading
 import time
 from functools import partial
+from pathlib import Path
 
 import polars as pl
 import pytest
 
+import roadperc_stream as rp
 from roadperc_stream import loop
 from roadperc_stream.chain import prepare
+from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
+from roadperc_stream.errors import ConfigError, LogError, TargetError
 from roadperc_stream.output import writing
 from roadperc_stream.output.encoding import encode_image
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.system.pipeline import Pipeline
 from tests import logs
 from tests.analytic import STEP_NS, Road
 from tests.replaying import replay
@@ -123,6 +129,33 @@ def test_a_resumed_replay_has_the_files_of_an_uninterrupted_one(tmp_path, thread
 
 
 @pytest.mark.parametrize("threads", [1, *THREADS])
+def test_progress_counts_the_frames_that_are_written(tmp_path, threads):
+    source, seen = logs.write(tmp_path / "in.mcap", items_of()), []
+    replay(source, tmp_path / "out.mcap", LIGHT, threads=threads, progress=lambda *numbers: seen.append(numbers))
+    assert seen == [(k, FRAMES) for k in range(1, FRAMES + 1)]
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+@pytest.mark.parametrize(
+    ("items", "words"),
+    [
+        (
+            broken("detections", 4),
+            rf"in\.mcap: /camera/front/detections: message at {logs.START_NS + 4 * STEP_NS} ns: ",
+        ),
+        (LOGS["broken image"](), str(BROKEN_NS)),
+    ],
+    ids=["no message", "no image"],
+)
+def test_an_error_in_reading_or_decoding_names_its_message(tmp_path, threads, items, words):
+    source = logs.write(tmp_path / "in.mcap", items)
+    with pytest.raises(LogError, match=words):
+        replay(source, tmp_path / "out.mcap", CFG, strict=True, threads=threads)
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+    assert threads_left() == []
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
 @pytest.mark.parametrize("step", [*CHAIN, "write"])
 def test_an_error_in_any_step_ends_the_replay_and_leaves_nothing(tmp_path, monkeypatch, threads, step):
     source, calls = logs.write(tmp_path / "in.mcap", items_of()), []
@@ -190,3 +223,61 @@ def test_the_times_of_one_thread_add_up(tmp_path, monkeypatch):
         assert times[column].to_list() == pytest.approx([milliseconds] * FRAMES), column
     parts = times.drop("total_ms").sum_horizontal()
     assert parts.to_list() == pytest.approx(times["total_ms"].to_list())
+
+
+@pytest.mark.parametrize("threads", THREADS)
+def test_the_times_of_several_threads_add_up(tmp_path, threads):
+    target = tmp_path / "out.mcap"
+    replay(logs.write(tmp_path / "in.mcap", items_of()), target, CFG, threads=threads)
+    times = pl.read_parquet(sidecar_path(target, "metrics")).select(TIME_COLUMNS)
+    assert times.drop("total_ms").sum_horizontal().to_list() == pytest.approx(times["total_ms"].to_list())
+    assert times.null_count().sum_horizontal().item() == 0, "each part has its time"
+    assert times["decode_ms"].min() > 0
+
+
+def test_the_command_and_the_api_take_a_number_of_threads(tmp_path, monkeypatch):
+    source, seen = logs.write(tmp_path / "in.mcap", items_of(2)), []
+    run = Pipeline.run
+    monkeypatch.setattr(Pipeline, "run", lambda frames, threads: (seen.append(threads), run(frames, threads))[1])
+    monkeypatch.setattr("roadperc_stream.api.usable_cores", lambda: 7)
+    monkeypatch.setattr("roadperc_stream.cli.replay_log.usable_cores", lambda: 5)
+    options = [str(source), str(tmp_path / "out.mcap"), "--quiet", "--force", "--only", "surface"]
+    assert main(options) == 0
+    assert main([*options, "--threads", "2"]) == 0
+    rp.replay(source, tmp_path / "out.mcap", config=LIGHT, force=True)
+    rp.replay(source, tmp_path / "out.mcap", config=LIGHT, force=True, threads=1)
+    assert seen == [5, 2, 7, 1]
+
+
+@pytest.mark.parametrize(
+    ("threads", "error", "words"),
+    [(wrong, TypeError, "expected a whole number of 1 or more") for wrong in ("x", 1.5, True)]
+    + [(few, ConfigError, "expected 1 or more") for few in (0, -1)],
+)
+def test_threads_are_counted_in_whole_numbers_from_1_on(tmp_path, capsys, threads, error, words):
+    with pytest.raises(error, match=f"threads: {threads!r}, {words}"):
+        rp.replay(tmp_path / "in.mcap", tmp_path / "out.mcap", threads=threads)
+    with pytest.raises(SystemExit) as end:
+        main(["in.mcap", str(tmp_path / "out.mcap"), "--threads", str(threads)])
+    assert end.value.code == 2
+    assert "expected" in capsys.readouterr().err.partition("--threads: ")[2]
+
+
+@pytest.mark.parametrize("threads", [1, *THREADS])
+def test_an_unwritable_folder_is_one_error_with_the_output(tmp_path, monkeypatch, threads):
+    """Removing the partial file fails too, without another error."""
+    source, target = logs.write(tmp_path / "in.mcap", items_of(1)), tmp_path / "out" / "out.mcap"
+    opened, removed = Path.open, Path.unlink
+
+    def refusing(original):
+        def refused(path, *arguments, **options):
+            if path.parent == target.parent:
+                raise OSError(errno.EROFS, "Read-only file system", str(path))
+            return original(path, *arguments, **options)
+
+        return refused
+
+    monkeypatch.setattr(Path, "open", refusing(opened))
+    monkeypatch.setattr(Path, "unlink", refusing(removed))
+    with pytest.raises(TargetError, match=r"/out\.mcap: Read-only file system$"):
+        replay(source, target, LIGHT, threads=threads)

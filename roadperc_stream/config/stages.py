@@ -206,7 +206,7 @@ class ObjectsConfig(StageSection):
     min_closing_mps: Positive = 0.5
     """Least closing speed for which a time to impact is reported."""
     min_closing_sigmas: Annotated[float, Field(ge=0.0, le=1e4), unit("standard deviations")] = 2.0
-    """The same in standard deviations of the closing speed."""
+    """Least closing speed, in its standard deviations, for which a time to impact is reported."""
     car_width_m: Positive = 1.8
     """Width of the car, for its path."""
     path_margin_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3

@@ -9,10 +9,11 @@ import pytest
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.surface.road import KnownPitch, assumed_surface
 from roadperc_stream.chain.step import State, _on_other_plane, _with_known_height
-from roadperc_stream.config import ReplayConfig
+from roadperc_stream.config import STAGES, ReplayConfig, load_config, switched_off
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.model import Absent, CameraImage, DepthImage, Reason, TagImage
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.system.progress import StageTimer
 from tests.analytic import ROAD, Road, box
 from tests.logs import SMALL, shifted
 from tests.steps import step
@@ -47,6 +48,12 @@ def same(a, b):
     if isinstance(a, tuple):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     return a == b
+
+
+def test_a_disabled_stage_has_no_time():
+    timer, cfg = StageTimer(), load_config(settings=[switched_off(stage) for stage in STAGES if stage != "surface"])
+    step(cfg, State(), *drive(1), timer)
+    assert set(timer.columns()) == {"decode_ms", "surface_ms"}
 
 
 def test_a_frame_without_depth_tags_and_detections_has_an_assumed_road():
@@ -113,6 +120,14 @@ def test_odometry_is_lost_with_an_unusable_image_and_absent_without_an_image():
     _, (lost,) = run([replace(without, image=CameraImage("camera", broken, broken))])
     assert lost.odometry.status == "lost"
     assert "odometry: lost, its image cannot be used" in texts(lost.reasons())
+
+
+def test_arrays_are_read_only():
+    _, (result,) = run(drive(1))
+    with pytest.raises(ValueError, match="read-only"):
+        result.lanes.proposals_px[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        drive(1)[0].segmentation.tags[0] = 0
 
 
 def test_a_depth_camera_below_the_image_camera():

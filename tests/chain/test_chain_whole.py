@@ -131,6 +131,25 @@ def test_two_cameras_and_tags_are_enough_for_everything(frames, whole):
     assert_alike(results[-1], whole[-1], offset_m=0.1)
 
 
+@pytest.mark.parametrize("missing", ["image", "segmentation", "detections", "points"])
+def test_any_input_beside_a_lidar_may_be_missing(lidar_frames, missing):
+    _, results = run([replace(frame, **{missing: None}) for frame in lidar_frames[:2]])
+    expected = {"segmentation": ["lower_image"] * 2, "points": ["assumed", "estimated"]}
+    assert [result.surface.source for result in results] == expected.get(missing, ["lidar"] * 2)
+
+
+def test_a_lidar_that_misses_the_road_gives_an_assumed_then_an_estimated_plane(lidar_frames):
+    _, results = run([replace(frame, points=high_points(frame.points)) for frame in lidar_frames[:3]])
+    assert [result.surface.source for result in results] == ["assumed", "estimated", "estimated"]
+    codes = [[reason.code for reason in result.reasons() if reason.code.startswith("plane")] for result in results]
+    assert codes == [["plane_assumed"], ["plane_estimated"], ["plane_estimated"]]
+
+
+def high_points(points):
+    """A lidar's points above a car's roof."""
+    return PointCloud(points.frame_id, lambda: points.points_m[points.points_m[:, 2] > -0.5])
+
+
 def test_one_camera_a_lidar_and_tags_are_enough_for_everything(lidar_results, whole):
     """A lidar's points give plane, height field, the lane on the ground, distances, and the scale of odometry."""
     last, with_sensor = lidar_results[-1], whole[-1]

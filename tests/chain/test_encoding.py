@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -80,6 +80,14 @@ def test_hostile_bytes_give_one_error(data, expected):
     assert expected in str(caught.value)
 
 
+def test_an_oversized_unpacked_state_is_refused(monkeypatch):
+    monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
+    with pytest.raises(StateError, match="more than 1000 bytes"):
+        decode(packed(b"\0" * 2000), Thing)
+    with pytest.raises(StateError, match="2046 bytes: expected 1000 at most"):
+        encode(Thing(1.0, name="x" * 2000))
+
+
 def test_any_flipped_bit_is_one_error():
     data = encode(Thing(1.5, np.eye(4), (np.zeros(3),), np.zeros(4, np.uint8), "name"))
     for bit in range(8 * len(data)):
@@ -87,3 +95,7 @@ def test_any_flipped_bit_is_one_error():
         changed[bit // 8] ^= 1 << bit % 8
         with pytest.raises(StateError):
             decode(bytes(changed), Thing)
+
+
+def test_numpy_scalars_become_numbers():
+    assert decode(encode(replace(Thing(0.0), value=np.float64(0.1))), Thing) == Thing(0.1)

@@ -13,7 +13,8 @@ from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.replaying import replay
-from tests.resume.parts import rows, write
+from tests.resume.parts import cut, replayed, rows, write
+from tests.resume.test_kills import interrupt, same
 from tests.steps import step
 
 SAMPLE = Path(__file__).parents[2] / "logs" / "sample.mcap"
@@ -66,7 +67,16 @@ def test_a_standing_car_is_not_frozen(sample, known):
     assert FROZEN not in odometry(standing)
 
 
+def test_an_image_that_shows_nothing_is_still_said_to(sample):
+    black = replace(sample[0].image, decode_grey=lambda: sample[0].image.grey * 0)
+    found = odometry([replace(frame, image=black if k else frame.image) for k, frame in enumerate(sample)])
+    assert {motion.reason.code for motion in found[1:]} == {"image_uniform"}
+
+
 SMALL = load_config(None, ("sync.max_wait_s=0.1",))
+
+
+RESUMED = {"checkpoint_every_s": 0.2, "resume": True}
 
 
 ROAD = replace(logs.SMALL, width=96, height=72)
@@ -100,3 +110,13 @@ def test_a_note_counts_the_frames_and_their_odometry_is_null(whole):
     assert [k for k, status in enumerate(found["odometry_status"]) if status is None] == list(range(9, 15))
     assert found[9:15].select("odom_x_m", "step_m", "turn_deg").null_count().row(0) == (6, 6, 6)
     assert all("odometry.image_frozen" in codes for codes in found["reason_codes"][9:15])
+
+
+def test_continued_and_resumed_replays_know_that_the_image_repeats(frozen, whole, tmp_path):
+    target, summary = whole
+    ends = [logs.START_NS + k * STEP_NS + 1 for k in (10, 13)]
+    assert rows(replayed(tmp_path, cut(frozen, ends), SMALL), "metrics").equals(rows([target], "metrics"))
+    again = tmp_path / "again.mcap"
+    interrupt(target.with_name("in.mcap"), again, 15, SMALL)
+    assert notes_on_frames(replay(target.with_name("in.mcap"), again, SMALL, **RESUMED)) == notes_on_frames(summary)
+    assert same(again, target)

@@ -1,8 +1,12 @@
 """Stages of the user's own: their inputs, their state, the checks of their output, and where their code is from."""
 
 import hashlib
+import os
 import re
+import signal
+import subprocess
 import sys
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
@@ -173,6 +177,12 @@ class Opaque:
     frames: object = field(default_factory=object)
 
 
+@dataclass(frozen=True)
+class Changeable:
+    frames: list[int] = field(default_factory=list)
+    text: str = ""
+
+
 def stage_with(state_type, step=lambda *given: (given[1], LEFT)):
     return type("Stage", (), {"State": state_type, "__call__": lambda _, *given: step(*given)})
 
@@ -182,14 +192,51 @@ def stage_with(state_type, step=lambda *given: (given[1], LEFT)):
     [
         (stage_with(Thawed), "State: expected a frozen dataclass"),
         (stage_with(int), "State: expected a frozen dataclass"),
+        (stage_with(Demanding), "missing 1 required positional argument: 'frames'; see roadperc_stream"),
         (stage_with(Opaque), "object has no encoding"),
         (type("Demanding", (), {"__init__": lambda _, x: x}), "Demanding: TypeError: .* missing 1"),
         (type("Silent", (), {}), "expected a class or function, found Silent"),
+        ("lanes.py", "expected a class or function, found str"),
     ],
 )  # fmt: skip
 def test_what_is_no_stage_is_refused_before_the_first_frame(stage, message):
     with pytest.raises(ConfigError, match=message):
         rp.Chain(CAMERA, stages={"lanes": stage})
+
+
+def test_stages_that_cannot_be_replaced_are_refused():
+    with pytest.raises(ConfigError, match="no stage 'occupancy' to replace; expected one of stereo, surface"):
+        rp.Chain(CAMERA, stages={"occupancy": raising})
+
+
+def test_a_stage_can_change_only_its_new_state():
+    def growing(cfg, state, *_):
+        state.frames.append(1)
+        return state, lines(offset_m=float(len(state.frames)))
+
+    chain = rp.Chain(CAMERA, stages={"lanes": stage_with(Changeable, growing)}, tag_table="0.9.15")
+    chain.step(0)
+    kept = chain._state
+    offsets = []
+    for _ in range(2):
+        chain._state = kept
+        offsets.append(chain.step(STEP_NS).lanes.side("left").offset_m)
+    assert offsets == [2.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        (Changeable(text="x" * 70_000_000), "StateError: 700000.. bytes: expected 67108864 at most"),
+        (Changeable(frames=["one"]), "Expected `int`, got `str`"),
+        (Changeable(text="\ud800"), "UnicodeEncodeError"),
+        (Thawed(), "state: expected Changeable, found Thawed"),
+    ],
+    ids=["large", "wrong type", "no text", "another class"],
+)
+def test_a_state_that_cannot_be_kept_is_an_error(state, message):
+    with pytest.raises(StageError, match=message):
+        stepped(stage_with(Changeable, returning(state, LEFT)))
 
 
 def test_all_stages_can_be_replaced_and_are_written(tmp_path):
@@ -244,6 +291,21 @@ def test_wrong_outputs_of_other_stages(name, output, message):
         stepped(returning(None, output), name=name)
 
 
+@pytest.mark.parametrize(
+    ("depth_m", "message"),
+    [
+        (np.ones((2, 3), np.float32), r"expected the shape \(240, 320\), found \(2, 3\)"),
+        (np.zeros(CAMERA.size, np.float32), "metres or NaN"),
+    ],
+)
+def test_wrong_stereo_depth(depth_m, message):
+    stage = lambda *_: StereoDepth("camera", depth_m)  # noqa: E731 - a stage in one line
+    chain = rp.Chain(CAMERA, stages={"stereo": stage}, right_camera=replace(CAMERA, baseline_m=0.5))
+    grey = np.zeros(CAMERA.size, np.uint8)
+    with pytest.raises(StageError, match=message):
+        chain.step(0, image=grey, right_image=grey)
+
+
 def offsets(path):
     return rp.read_metrics(path)["lane_left_offset_m"].to_list()
 
@@ -268,6 +330,26 @@ def test_a_continued_replay_has_the_state_and_the_source_is_in_the_configuration
         rp.replay(SAMPLE, "d.mcap", config="roadperc.toml")
 
 
+def test_an_own_state_is_warmed_up_and_resumed(folder):
+    stopping = "assert state.frames < 5 or not __import__('os').path.exists('stop')\n        return"
+    (folder / "counting.py").write_text(COUNTING.replace("return", stopping))
+    part = {"config": counting(), "start_s": 0.16, "end_s": 0.46}
+    rp.replay(SAMPLE, "warm.mcap", **part, warm_up_s=0.11)
+    assert offsets("warm.mcap")[:2] == [4.0, 5.0]
+    rp.replay(SAMPLE, "whole.mcap", **part)
+    (folder / "stop").touch()
+    with pytest.raises(StageError, match="AssertionError"):
+        rp.replay(SAMPLE, "resumed.mcap", **part, checkpoint_every_s=0.1)
+    (folder / "stop").unlink()
+    found = rp.replay(SAMPLE, "resumed.mcap", **part, resume=True)
+    assert found.frames_before == 3
+    assert (folder / "resumed.mcap").read_bytes() == (folder / "whole.mcap").read_bytes()
+
+
+def test_built_in_stages_are_not_named_in_the_configuration():
+    assert "implementation" not in load_config(None, "lanes.implementation=built-in").to_toml()
+
+
 def test_a_result_does_not_import_code(folder):
     rp.replay(SAMPLE, "run.mcap", config=counting(), max_frames=2)
     (folder / "run.mcap").unlink()
@@ -287,9 +369,15 @@ def test_a_result_does_not_import_code(folder):
     ("text", "name", "message"),
     [
         ("x = = 1", "mine:Mine", r"mine cannot be imported: SyntaxError: invalid syntax \(mine.py, line 1\)"),
+        ("\nraise OSError('no\\nfile')", "mine:Mine", r"OSError: no file \(.*mine.py, line 2\)"),
+        ("import sys; sys.exit(3)", "mine:Mine", "SystemExit: 3"),
+        (r"raise OSError('\33[31m')", "mine:Mine", r"OSError: .*\\x1b\[31m"),
+        ("import nothing_there", "mine:Mine", "ModuleNotFoundError: No module named 'nothing_there'"),
         ("Mine = 3", "mine:Mine", "mine:Mine: TypeError: expected a class or function, found int"),
         ("", "mine:Mine", "mine.py has no 'Mine'; expected a class or function"),
         ("", "nobody:Mine", "No module named 'nobody'; install it, or run the command in the folder of its file"),
+        ("", "mine.sub:Mine", "No module named 'mine.sub'; 'mine' is not a package; install it"),
+        ("", "sys:exit", "module sys has no source file"),
         ("", "mine", "expected MODULE:NAME; or built-in, found 'mine'"),
     ],
 )  # fmt: skip
@@ -310,6 +398,59 @@ def test_the_command_finds_a_module_in_its_folder_and_names_the_failing_line(fol
     assert done.stderr.startswith("error: lanes: counting:Counting failed in frame 1 (stamp ")
     assert done.stderr.endswith(" ns): ZeroDivisionError: division by zero (" + f"{folder / 'counting.py'}, line 14)\n")
     assert not list(folder.glob("*.mcap"))
+
+
+def is_running(session):
+    try:
+        os.killpg(session, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+ASLEEP = "import time; time.sleep(1000)"
+
+
+STUCK = """
+from pathlib import Path
+
+def lanes(*_):
+    Path("stuck").touch()
+    while True:
+        try:
+            FOREVER
+        except BaseException:
+            pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "forever"),
+    [
+        (f"roadperc-replay {SAMPLE} out.mcap --threads 2", ASLEEP),
+        (f"roadperc-sweep {SAMPLE} --out out --jobs 2", ASLEEP),
+        (f"roadperc-batch out {SAMPLE} --jobs 2", "pass"),
+    ],
+)
+def test_an_endless_stage_can_be_interrupted(folder, words, forever):
+    (folder / "stuck.py").write_text(STUCK.replace("FOREVER", forever))
+    vary = ["--vary" if "sweep" in words else "--set", "lanes.implementation=stuck:lanes"]
+    command, *options = words.split()
+    options += [*vary, "--set", "stereo.method=off"]
+    process = subprocess.Popen(commands.words(command, *options), stderr=-1, start_new_session=True)
+    while process.poll() is None and not (folder / "stuck").exists():
+        time.sleep(0.05)
+    time.sleep(0.2)
+    asked = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert time.monotonic() - asked < 2
+    assert process.returncode == 1, error
+    assert error.splitlines()[-1].startswith(b"error: interrupted"), error
+    assert not list(folder.rglob("*.mcap"))
+    while is_running(process.pid):  # a worker
+        assert time.monotonic() - asked < 5
+        time.sleep(0.05)
 
 
 def test_batches_and_sweeps_run_own_stages(folder):

@@ -9,7 +9,7 @@ from roadperc_stream.chain.prepare import prepare
 from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import STAGES, load_config, switched_off
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.model import CameraImage, DepthImage, InstanceImage, PointCloud, TagImage
+from roadperc_stream.model import Absent, CameraImage, DepthImage, InstanceImage, PointCloud, TagImage
 from roadperc_stream.schemas.topics import NEEDS
 from tests.analytic import box
 from tests.logs import SMALL
@@ -80,3 +80,18 @@ def test_undecodable_images_are_missing_with_a_reason():
     _, result = step(cfg, State(), frame)
     undecodable = [reason.source for reason in result.reasons() if reason.code == "undecodable"]
     assert undecodable == ["segmentation", "image"]
+
+
+def test_without_depth_the_points_of_a_lidar_are_decoded():
+    read, cfg = [], only("surface")
+    prepare(cfg, watched(read, depth_image=None))
+    assert sorted(read) == ["points", "tags"]
+
+
+def test_stereo_alone_reports_no_problems_of_other_stages():
+    frame = watched([], depth_image=None, segmentation=None)
+    cfg = only("stereo")
+    _, result = step(cfg, State(), prepare(cfg, frame))
+    others = (result.surface, result.lanes, result.objects, result.odometry, result.occupancy)
+    assert {reason.code for reason in result.reasons() if reason.source != "stereo"} == {"switched_off"}
+    assert all(isinstance(output, Absent) for output in others)

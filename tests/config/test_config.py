@@ -64,6 +64,11 @@ def test_an_error_names_the_file(tmp_path, text, message):
         load_config(tmp_path / "mine.toml")
 
 
+@pytest.mark.parametrize(("text", "classes"), [("road", ("road",)), ("road, sidewalk", ("road", "sidewalk"))])
+def test_classes_by_commas(text, classes):
+    assert load_config(None, (f"surface.classes={text}",)).surface.classes == classes
+
+
 def test_numbers_must_be_finite():
     for section in ("sync", "stereo", "surface", "odometry", "lanes", "objects", "occupancy"):
         for name, field in type(getattr(ReplayConfig(), section)).model_fields.items():

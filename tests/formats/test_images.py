@@ -62,3 +62,10 @@ def test_a_mask_is_a_palette_with_one_bit_a_pixel(mask, colour):
         assert (image.mode, image.size) == ("P", mask.shape[::-1])
         assert image.getpalette() == [*BLACK, *colour]
     assert data[24:26] == b"\x01\x03", "bits a pixel, and kind of colours"
+
+
+def test_the_memory_order_of_a_mask_does_not_matter():
+    mask = np.arange(35).reshape(5, 7) % 3 == 0
+
+    assert encode_mask(np.asfortranarray(mask), (BLACK, BLUE)) == encode_mask(mask, (BLACK, BLUE))
+    assert encode_mask(np.repeat(mask, 2, axis=1)[:, ::2], (BLACK, BLUE)) == encode_mask(mask, (BLACK, BLUE))

@@ -1,5 +1,6 @@
 """The PNG reader gives the same pixels or errors as OpenCV and Pillow."""
 
+import io
 import struct
 import tracemalloc
 import zlib
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from PIL import Image as PillowImage
 
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images, png
@@ -107,6 +109,15 @@ def test_every_kind_and_filter_with_other_chunks(chunks, others, random):
     assert_same_as_others(file_of(chunks))
 
 
+@given(
+    chunks=plain_chunks(tuple((3, bits) for bits in BITS[3])),
+    size=st.sampled_from((0, 1, 3, 4, 6, 765, 767, 768, 769, 771, 10_000)),
+)
+def test_palettes_of_any_size(chunks, size):
+    palette = (b"PLTE", bytes(k % 256 for k in range(size)))
+    assert_same_as_others(file_of([palette if chunk == PALETTE else chunk for chunk in chunks]))
+
+
 @given(plain_chunks(), st.integers(0, 5), st.integers(0, 5))
 def test_missing_repeated_or_reordered_chunks(chunks, one, other):
     chunks = list(chunks)
@@ -125,10 +136,67 @@ def test_a_changed_byte_anywhere(chunks, data):
 
 
 @given(plain_chunks(), st.data())
+def test_a_changed_byte_with_a_correct_crc(chunks, data):
+    at = data.draw(st.integers(0, len(chunks) - 1))
+    name, content = chunks[at]
+    assume(content and name != b"PLTE")
+    changed = bytearray(content)
+    changed[data.draw(st.integers(0, len(changed) - 1))] ^= data.draw(st.integers(1, 255))
+    assume(name != b"IHDR" or len(set(struct.unpack_from(">II", changed)) - set(range(1 << 12))) == 0)
+    chunks[at] = (name, bytes(changed))
+    assert_same_as_others(file_of(chunks))
+
+
+@given(plain_chunks(), st.data())
 def test_cut_and_extended_files(chunks, data):
     whole = file_of(chunks)
     assert_same_as_others(whole[: data.draw(st.integers(0, len(whole)))])
     assert_same_as_others(whole + data.draw(st.binary(min_size=1, max_size=20)))
+
+
+@given(plain_chunks(), st.integers(-3, 3).filter(bool), st.integers(0, 9))
+def test_more_or_fewer_lines_than_declared(chunks, rows, level):
+    width, height, *rest = struct.unpack(">IIBBBBB", chunks[0][1])
+    assert_same_as_others(
+        file_of([(b"IHDR", struct.pack(">IIBBBBB", width, max(height + rows, 0), *rest)), *chunks[1:]])
+    )
+
+
+@given(window_bits=st.integers(9, 15), declared=st.integers(0, 8))
+def test_a_stream_of_every_window(window_bits, declared):
+    """zlib refuses a stream that looks back farther than its declared window."""
+    rows = np.random.default_rng(1).integers(0, 256, (40, 1 + 3 * 100), dtype=np.uint8)
+    rows[:, 0] = 0
+    rows[20:] = rows[:20]  # 6020 bytes back
+    compressor = zlib.compressobj(9, wbits=window_bits)
+    stream = bytearray(compressor.compress(rows.tobytes()) + compressor.flush())
+    stream[0] = declared << 4 | 8
+    stream[1] = -(stream[0] << 8) % 31
+    assert_same_as_others(file_of([header(100, 40, 8, 2), (b"IDAT", bytes(stream)), (b"IEND", b"")]))
+
+
+@given(
+    mode=st.sampled_from(("1", "L", "LA", "P", "RGB", "RGBA", "I;16")),
+    pixels=arrays(np.uint8, st.tuples(SIDES, SIDES)),
+    bits=st.sampled_from((1, 2, 4, 8)),
+    optimize=st.booleans(),
+)
+def test_pngs_of_pillow(mode, pixels, bits, optimize):
+    image = PillowImage.fromarray(pixels & ((1 << bits) - 1), "L")
+    if mode == "P":
+        image.putpalette(bytes(range(256)) * 3)
+    stream = io.BytesIO()
+    image.convert(mode).save(stream, "PNG", bits=bits if mode == "P" else 8, optimize=optimize)
+    assert_same_as_others(stream.getvalue())
+
+
+@pytest.mark.parametrize("methods", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 64, 0), (0, 0, 2)])
+@pytest.mark.parametrize("colour_type", [0, 2, 3, 6])
+def test_other_methods_and_interlaced_pixels(methods, colour_type):
+    lines = bytes(4 * (1 + 8 * CHANNELS[colour_type]) * 3)
+    palette = [PALETTE] * (colour_type == 3)
+    start = [header(8, 4, 8, colour_type, methods), *palette]
+    assert_same_as_others(file_of([*start, (b"IDAT", zlib.compress(lines)), (b"IEND", b"")]))
 
 
 @pytest.mark.parametrize("size", [(0, 1), (1, 0), (0, 0), (1 << 14, 1), (1, (1 << 14) + 1), (1 << 31, 1), (9999, 9999)])

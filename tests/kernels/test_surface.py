@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.kernels.forms import SEEDS, assert_same_bits, both, forms, wild
+from tests.kernels.forms import SEEDS, assert_same_bits, both, wild
 
 
 def image(seed, height, width):
@@ -84,25 +84,3 @@ def test_median_places_are_the_same(seed, number, count, levels):
     heights = (rng.integers(-levels, levels, number) / 7).astype(np.float32)
     heights[rng.random(number) < 0.05] = np.inf
     assert_same_bits("surface", "median_places", rng.integers(0, count, number).astype(np.int32), heights, count)
-
-
-def test_arrays_of_other_sizes_are_refused():
-    depth, column, row, marks, ray = image(0, 4, 5)
-    kernel, first, values, weights = forms("surface")[1], np.zeros(5, np.intp), np.ones((5, 3)), np.ones(5)
-    for function, asked in (
-        ("mark_near", (depth, (column[1:], row, 0.0), 1.0, marks, marks)),
-        ("mark_near", (depth, (column, row, 0.0), 1.0, marks[:3], marks)),
-        ("mark_near", (depth, (column, row, 0.0), 1.0, marks, marks[:3])),
-        ("moments_near", (depth, (column, row[1:], 0.0), 1.0, marks, ray)),
-        ("moments_near", (depth, (column, row, 0.0), 1.0, marks[:3], ray)),
-        ("moments_near", (depth, (column, row, 0.0), 1.0, marks, ray[1:])),
-        ("median_places", (np.int32([0, 1]), np.float32([1, 2, 3]), 2)),
-        ("median_places", (np.int32([0, 1, 2]), np.float32([1, 2, 3]), 2)),
-        ("median_places", (np.int32([-1, 0, 1]), np.float32([1, 2, 3]), 2)),
-        ("normal_equations", (first, values, weights[:4], weights, 9)),
-        ("normal_equations", (first - 1, values, weights, weights, 9)),
-        ("normal_equations", (first + 7, values, weights, weights, 9)),
-        ("solve_band", (np.ones((1, 3)), np.ones(2))),
-    ):
-        with pytest.raises(ValueError, match="expected"):
-            getattr(kernel, function)(*asked)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.geometry import inverse, project, transform
@@ -160,6 +161,12 @@ def test_a_lane_is_found_at_85_percent_of_its_points():
         assert tusimple([lane], [truth], rows) == TuSimpleScore(right / 20, missed, missed)
 
 
+def test_points_absent_in_both_lanes_are_right():
+    truth = np.where(ROWS < 400, np.nan, 300.0)
+    assert tusimple([truth], [truth], ROWS).accuracy == 1.0
+    assert tusimple([upright(300.0)], [truth], ROWS).accuracy == pytest.approx(np.mean(ROWS >= 400))
+
+
 @pytest.mark.parametrize(
     ("found", "true", "score", "counts"),
     [
@@ -200,6 +207,14 @@ def test_a_line_leaves_the_image_in_its_direction(far_px, direction, is_first):
     assert line_overlaps([far[order]], [near[order]], SHAPE).item() == pytest.approx(1, abs=0.01)  # a column
 
 
+def test_a_line_far_outside_is_not_drawn():
+    """Also at the limit of drawn points; between two far ends, the part in the image is drawn."""
+    beside = [np.array([(x, -1e9), (x, 1e9)]) for x in (1e7, -(2.0**14) - 1640, 2.0**14 + 1640)]
+    np.testing.assert_array_equal(line_overlaps(beside, [line(800)], SHAPE), 0)
+    across = np.array([(800, -1e9), (800, 1e9)])
+    assert line_overlaps([across], [line(800)], SHAPE).item() == 1
+
+
 @pytest.mark.parametrize(
     ("overlaps", "counts"),
     [
@@ -213,3 +228,12 @@ def test_lines_are_paired_by_their_overlaps(overlaps, counts):
 
 
 lanes = st.lists(st.floats(0, 1280), max_size=4)
+
+
+@given(lanes, lanes)
+def test_scores_are_shares_and_counts_add_up(found, true):
+    score = tusimple([upright(x) for x in found], [upright(x) for x in true], ROWS)
+    assert all(0.0 <= value <= 1.0 for value in (score.accuracy, score.fn))
+    assert score.fp <= 1.0
+    tp, fp, fn = culane([line(x, 79) for x in found], [line(x, 79) for x in true], (80, 1280))
+    assert (tp + fp, tp + fn) == (len(found), len(true))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from roadperc_stream import metrics as m
-from roadperc_stream.metrics.objects import same_kind, true_time_to_impact_s
+from roadperc_stream.metrics.objects import object_columns, same_kind, true_time_to_impact_s
 from roadperc_stream.model import Object, Objects
 from tests.analytic import box
 from tests.metrics.frames import CFG, sample_and_result
@@ -20,6 +20,15 @@ def test_objects_are_matched_best_first_and_once():
     rows = m.object_metrics("id", sample, result)
     assert [row.true_distance_m for row in rows] == [None, 3.0]
     assert m.frame_metrics(CFG, "id", sample, result).object_distance_error_m == pytest.approx(0.5)
+
+
+def test_dropped_objects_do_not_count():
+    objects = Objects(
+        (Object(box("Car", 0, 0, 9, 9), False, distance_m=2.0), Object(box("Bus", 20, 0, 29, 9), True, distance_m=7.0))
+    )
+    sample, result = sample_and_result()
+    row = m.frame_metrics(CFG, "id", sample, replace(result, objects=objects))
+    assert (row.nearest_object_m, row.nearest_object_class, row.detections_kept) == (7.0, "Bus", 1)
 
 
 def judged(*objects, truth):
@@ -67,6 +76,14 @@ def test_the_filter_is_judged_by_the_true_objects(kept, truth, counts, shares, i
     assert (row.filter_precision, row.filter_recall) == shares
     assert row.object_distance_error_m == (0.0 if is_true else None)
     assert rows[0].is_true is is_true
+
+
+@pytest.mark.parametrize(
+    ("in_path", "counted"), [((), 0), ((True, False, None), 1), ((False, None), 0), ((None, None), None)]
+)
+def test_objects_at_unknown_places_are_not_counted(in_path, counted):
+    kept = tuple(Object(box("Car", 0, 0, 10, 10), kept=True, in_path=known) for known in in_path)
+    assert object_columns(Objects(kept, path_source="straight")).objects_in_path == counted
 
 
 def test_a_pedestrian_does_not_match_a_car():

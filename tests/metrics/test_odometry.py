@@ -64,3 +64,12 @@ def test_deviations_of_step_and_turn_are_along_the_motion():
     assert ahead.turn_std_deg == pytest.approx(np.degrees(0.003))
     turned = row_of(moved(2.0, 0.0, 90.0), moved(2.0, 0.0), covariance=covariance)
     assert turned.step_std_m == pytest.approx(0.02)
+
+
+def test_a_step_of_unknown_covariance_or_scale_has_no_deviation():
+    row = row_of(moved(2.0, 0.0, 1.0), moved(1.0, 0.0))
+    assert (row.step_m, row.step_std_m, row.turn_std_deg) == (2.0, None, None)
+    covariance = tuple(np.eye(6).ravel())
+    row = row_of(moved(2.0, 0.0, 1.0), moved(1.0, 0.0), covariance=covariance, up_to_scale=True)
+    assert (row.step_std_m, row.turn_std_deg) == (None, pytest.approx(np.degrees(1.0)))
+    assert row_of(moved(0.0, 0.0), moved(0.0, 0.0), covariance=covariance).step_std_m == 1.0

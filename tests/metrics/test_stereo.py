@@ -17,6 +17,9 @@ from tests.metrics.frames import sample_and_result
 BASELINE_M = 0.5
 
 
+NO_ERRORS = StereoErrorColumns(0.0, 0.0, 0.0, 1.0)
+
+
 def columns(estimated_m, true_m, **changes):
     sample, _ = sample_and_result()
     camera = sample.frame.camera
@@ -65,6 +68,16 @@ def test_a_tenth_of_the_pixels_four_pixels_off():
 @pytest.mark.parametrize(("true_px", "off_px", "bad"), [(10, 2.9, 0.0), (10, 3.1, 1.0), (70, 3.4, 0.0), (70, 3.6, 1.0)])
 def test_a_bad_disparity_is_three_pixels_and_five_percent_off(true_px, off_px, bad):
     assert stereo_errors(flat(true_px + off_px), flat(true_px), STEREO, 0.5).stereo_d1_ratio == bad
+
+
+def test_far_and_unknown_truth_does_not_count():
+    true = flat(10)
+    true[:, :20], true[:, 20:40] = 61.0, np.nan
+    estimated = flat(10)
+    estimated[:, :40] = 1.0
+    assert stereo_errors(estimated, true, STEREO, 0.5) == NO_ERRORS
+    assert stereo_errors(estimated, flat(0.5), STEREO, 0.5) == StereoErrorColumns()
+    assert stereo_errors(flat(np.nan), flat(10), STEREO, 0.5) == StereoErrorColumns(stereo_coverage=0.0)
 
 
 def test_a_hidden_pixel_is_not_visible_in_both_images():

@@ -91,3 +91,24 @@ def test_any_other_stored_fields_are_shown_as_they_are(code, values, cause):
     reason = reason_of("lanes", code, values, cause)
     assert reason.code == "other"
     assert str(reason).startswith(f"lanes: {code}")
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e+30", "-0.5", "1e-30"])
+def test_numbers_of_any_size_are_read_back(number):
+    reason = Reason("stereo", "wrong_baseline", (float(number), 0.001, 1000.0))
+    assert f"gives a baseline of {number} m" in str(reason)
+    assert str(reason_of(**reason.stored)) == str(reason)
+
+
+@pytest.mark.parametrize(
+    ("code", "values", "cause"),
+    [
+        ("no_image", (1,), None),
+        ("wrong_size", (64, 48), None),
+        ("no_surface", (), None),
+        ("no_image", (), Reason("lanes", "no_depth")),
+    ],
+)
+def test_values_that_do_not_fit_the_template_are_refused(code, values, cause):
+    with pytest.raises(ValueError, match=f"{code}: expected"):
+        Reason("lanes", code, values, cause)

@@ -3,11 +3,13 @@
 import re
 from dataclasses import fields
 from pathlib import Path
+from typing import get_type_hints
 
 import pyarrow as pa
 import pytest
 
 from roadperc_stream.eval.metrics_page import with_tables
+from roadperc_stream.eval.report_columns import DERIVED, NUMBERS
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics, columns_of
 from roadperc_stream.schemas.row_messages import FrameMetrics as FrameMetricsProto
@@ -27,6 +29,15 @@ def test_every_column_has_a_meaning(row_type):
         assert column.unit == known.get(ending, column.unit), name
 
 
+@ROWS
+def test_a_nullable_column_says_when_it_is_null(row_type):
+    hints, shared = get_type_hints(row_type), ("lane_tusimple", "lane_culane", "filter_", "stereo_", "lane_")
+    for name, column in columns_of(row_type).items():
+        optional = type(None) in getattr(hints[name], "__args__", ())
+        assert optional or not column.null, name
+        assert column.null or not optional or name.startswith(shared) or name.startswith("detections"), name
+
+
 def test_the_message_has_the_columns_in_the_order_of_the_table():
     found = {field.name: field for field in FrameMetricsProto.DESCRIPTOR.fields}
     assert list(found) == ["timestamp", "frame_id", *columns_of(FrameMetrics)]
@@ -44,6 +55,13 @@ def test_the_table_has_every_column_in_its_order():
     assert schema.field("lane_width_m").nullable
     assert schema.names[:4] == ["log_id", "frame", "stamp_ns", "surface_inlier_ratio"]
     assert schema.names[-len(TIME_COLUMNS) - 2 :][:2] == ["reasons", "reason_codes"]
+
+
+def test_labels_of_reports_are_unique():
+    columns = {**columns_of(FrameMetrics), **dict.fromkeys(TIME_COLUMNS)}
+    stored = [quantity for quantity in NUMBERS if quantity not in DERIVED]
+    assert {quantity.column for quantity in stored} <= columns.keys()
+    assert {name for name, column in columns.items() if column and column.label} <= {q.column for q in stored}
 
 
 def test_the_page_defines_every_column():

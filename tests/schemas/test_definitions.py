@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from roadperc_stream.errors import DecodeError
-from roadperc_stream.schemas import cdr
-from roadperc_stream.schemas.definitions import MOST_BYTES, MOST_ELEMENTS
+from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.schemas import cdr, ros2
+from roadperc_stream.schemas.definitions import MOST_BYTES, MOST_ELEMENTS, types_of
 
 RULE = "=" * 80 + "\n"
 NAME = "demo/msg/Thing"
@@ -78,7 +79,29 @@ def test_idl_of_ros_2_is_read():
     np.testing.assert_array_equal(found.b, np.zeros(3))
 
 
+def test_long_arrays_of_numbers_are_one_element():
+    constants, fields = types_of(NAME, b"float64[2000000] a\nstring[900] b\n", "ros2msg")[NAME]
+    assert not constants
+    assert [name for name, _ in fields] == ["a", "b"]
+
+
 @pytest.mark.parametrize("data", [b"", HEADER, HEADER + bytes(3), b"\x00\x07" + bytes(40)])
 def test_bytes_of_another_layout_are_an_error(data):
     with pytest.raises(DecodeError, match=f"{len(data)} bytes are not a valid {NAME}: "):
         cdr.read(data, NAME, b"float64 a\nstring b\n")
+
+
+@pytest.mark.parametrize(
+    ("fields", "size"),
+    [
+        (b"uint8[19] a\n", 19),
+        (b"string[] height\nstring[] width\nuint32 step\nstring[] encoding\nuint8[] data\nuint8 is_bigendian\n", 24),
+    ],
+    ids=["none", "others"],
+)
+def test_a_type_with_the_fields_of_another_is_an_error(fields, size):
+    _, rule, others = ros2.IMAGE_DEFINITION.partition(b"=")
+    definition = b"std_msgs/Header header\n" + fields + rule + others
+    header = bytes(8) + b"\x01\x00\x00\x00" + b"\x00"
+    with pytest.raises(DecodeError, match=f"{ros2.IMAGE} as the log defines it: "):
+        decode("image", ros2.IMAGE, "cdr", HEADER + header + bytes(size), 1, Context(None, definition))

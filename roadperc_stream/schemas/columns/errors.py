@@ -178,9 +178,9 @@ class ObjectErrorColumns:
         ),
     ] = None
     filter_tp: Annotated[int | None, Column("kept detections that match a true object", COUNT)] = None
-    filter_fp: Annotated[int | None, Column("other kept detections", COUNT)] = None
+    filter_fp: Annotated[int | None, Column("kept detections that match no true object", COUNT)] = None
     filter_fn: Annotated[int | None, Column("dropped detections that match a true object", COUNT)] = None
-    filter_tn: Annotated[int | None, Column("other dropped detections", COUNT)] = None
+    filter_tn: Annotated[int | None, Column("dropped detections that match no true object", COUNT)] = None
     filter_precision: Annotated[
         float | None,
         _score("tp / (tp + fp)", RATIO, "nothing was kept", "filter precision", 3, better="high", relevant=0.01),

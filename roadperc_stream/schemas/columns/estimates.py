@@ -40,11 +40,13 @@ class SurfaceColumns:
     ] = None
     camera_pitch_deg: Annotated[
         float | None,
-        _shown_beside("its pitch against the road, nose down positive", "deg", _NO_PLANE, "camera pitch", 3),
+        _shown_beside("pitch of that camera against the road, nose down positive", "deg", _NO_PLANE, "camera pitch", 3),
     ] = None
     camera_roll_deg: Annotated[
         float | None,
-        _shown_beside("its roll against the road, right side down positive", "deg", _NO_PLANE, "camera roll", 3),
+        _shown_beside(
+            "roll of that camera against the road, right side down positive", "deg", _NO_PLANE, "camera roll", 3
+        ),
     ] = None
     drivable_ratio: Annotated[
         float | None,

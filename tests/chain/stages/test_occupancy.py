@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.occupancy import FREE, OCCUPIED, UNKNOWN, build
-from roadperc_stream.config import OccupancyConfig
+from roadperc_stream.config import OccupancyConfig, load_config
+from roadperc_stream.errors import ConfigError
 from roadperc_stream.model import Absent, Reason
 from tests.analytic import LINE, OTHER, ROAD, VEHICLE, Road
 from tests.hills import Hill
@@ -143,6 +144,14 @@ def test_the_depth_tolerance_decides_if_road_and_depth_disagree():
     ahead = [area(grid(off_by_a_twentieth, tags, drivable, cfg=c), 8, 15, -2, 2) for c in (cfg, strict)]
     assert (ahead[0] == FREE).all()
     assert (ahead[1] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize(
+    "setting", ["x_max_m=0.1", "max_height_m=0.2", "resolution_m=0.001", "x_max_m=80", 'obstacle_classes=["ghost"]']
+)
+def test_settings_that_do_not_fit_are_refused(setting):
+    with pytest.raises(ConfigError, match="occupancy"):
+        load_config(None, (f"occupancy.{setting}",))
 
 
 def test_a_missing_input_has_a_reason_and_unknown_depth_gives_unknown_cells():

@@ -17,6 +17,7 @@ from roadperc_stream.chain.stages.objects.template import correlate
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.cli import render
 from roadperc_stream.config import StereoConfig, load_config
+from roadperc_stream.geometry.rectification import lens_fault
 from roadperc_stream.geometry.rotations import rotation_from_rpy
 from roadperc_stream.input.decoding import camera_from_calibration
 from roadperc_stream.metrics.stereo import stereo_errors
@@ -63,6 +64,13 @@ def test_a_shifted_texture_has_one_depth(cfg, exact_px, shift_px):
     assert np.isfinite(inner).mean() > 0.99
 
 
+def test_cameras_may_differ_in_brightness():
+    left, right = view(texture(), 0.0), view(texture(), 10.25)
+    dimmer = np.clip(right.astype(int) - 6, 0, 255).astype(np.uint8)
+    inner = matched(FULL, left, dimmer)[10:-10, 40:-10]
+    assert np.nanmedian(np.abs(100.0 / inner - 10.25)) < 0.1
+
+
 @BOTH
 def test_pixels_hidden_from_the_right_camera_are_unknown(cfg):
     """A near square hides as many columns as its disparity exceeds the ground's."""
@@ -77,6 +85,20 @@ def test_pixels_hidden_from_the_right_camera_are_unknown(cfg):
     assert np.isnan(disparity[:, :8]).mean() > 0.9
     grey = np.full((HEIGHT, WIDTH), 90, np.uint8)
     assert np.isnan(matched(cfg, grey, grey)).all()
+
+
+def test_disparities_below_the_minimum_are_unknown():
+    pair = view(texture(), 0.0), view(texture(), 3.0)
+    assert np.isfinite(matched(FULL, *pair)).mean() > 0.9
+    assert np.isfinite(matched(StereoConfig(method="full", min_disparity_px=4.0), *pair)).mean() < 0.01
+
+
+@BOTH
+def test_images_of_odd_size(cfg):
+    left, right = (image[:-1, :-1] for image in (view(texture(), 0.0), view(texture(), 10.0)))
+    camera = replace(LEFT, width=WIDTH - 1, height=HEIGHT - 1)
+    depth = matched(cfg, left, right, camera, replace(camera, baseline_m=0.5))
+    assert np.nanmedian(depth) == pytest.approx(10.0, rel=0.03)
 
 
 def test_threads_do_not_change_the_depth():
@@ -106,6 +128,12 @@ def with_lens(distortion=(), **changes):
     return replace(LEFT, lens=replace(lens, **changes), distortion=distortion)
 
 
+@pytest.mark.parametrize("count", [0, 4, 5, 8, 12, 14])
+def test_every_lens_of_opencv_is_rectified(count):
+    assert lens_fault(with_lens((1e-3,) * count)) is None
+    matched(FAST, *[view(texture(), 0.0)] * 2, with_lens((1e-3,) * count))
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
@@ -113,9 +141,12 @@ def with_lens(distortion=(), **changes):
         ({"right_image": None}, "no right image"),
         ({"left_image": None, "right_image": None}, "no left image, no right image"),
         ({"right": replace(RIGHT, baseline_m=None)}, r"P\[0\]\[3\] of the right camera is 0"),
-        (
-            {"right": replace(RIGHT, baseline_m=-0.5)},
-            r"a baseline of -0.5 m: expected -fx \* baseline, which is 0.001 to",
+        *(
+            (
+                {"right": replace(RIGHT, baseline_m=bad)},
+                rf"a baseline of {re.escape(f'{bad:g}')} m: expected -fx \* baseline, which is 0.001 to 1000 m",
+            )
+            for bad in (-0.5, 1e30, np.inf, 1e-30)
         ),
         ({"right": replace(RIGHT, width=100)}, "left camera has 240x120 pixels, the right one 100x120"),
         ({"right_image": np.zeros((60, 60), np.uint8)}, "right image: 60x60 pixels, its calibration says 240x120"),
@@ -124,10 +155,29 @@ def with_lens(distortion=(), **changes):
         ({"right": replace(RIGHT, lens=g.Lens(200, 200, 119, 59, model="division"))}, "model 'division'"),
         ({"left": replace(with_lens((0.1,) * 5, model="equidistant"))}, "5 distortion coefficients, expected one of 4"),
         ({"ego_T_left": g.mounting(z=-1.0)}, "set stereo.disparities"),
-        ({"left": with_lens(R=(np.nan,) * 9)}, "the left camera has an R that is not a rotation: .*nan"),
+        *(
+            ({"left": with_lens(R=(bad,) * 9)}, f"the left camera has an R that is not a rotation: .*{bad:.3}")
+            for bad in (np.nan, np.inf, 1e-300)
+        ),
+        *(
+            ({"right": replace(with_lens(distortion=(0.1,) * n), baseline_m=0.5)}, f"right camera has {n} distortion")
+            for n in (1, 3, 20)
+        ),
         ({"left": with_lens(distortion=(0.1,) * 6)}, "6 distortion coefficients, expected one of 4, 5, 8, 12, 14"),
-        ({"left": with_lens(distortion=(0.0, np.inf, 0.0, 0.0))}, "distortion coefficient inf, expected at most"),
-        ({"left": with_lens(fx=300000.0)}, "an invalid K: fx 300000: expected"),
+        *(
+            ({"left": with_lens(distortion=(0.0, bad, 0.0, 0.0))}, f"distortion coefficient {bad:g}, expected at most")
+            for bad in (np.nan, np.inf, -20000.0)
+        ),
+        *(
+            ({"left": with_lens(**{name: bad})}, f"an invalid K: {name} {bad:g}: expected")
+            for name, values in {
+                "fx": (np.nan, 300000.0, 1e-30),
+                "fy": (0.0, -100.0, np.inf),
+                "cx": (np.nan, 2401.0),
+                "cy": (-np.inf, -1e5),
+            }.items()
+            for bad in values
+        ),
     ],
 )
 def test_missing_depth_has_a_reason(changes, reason):
@@ -184,6 +234,22 @@ def test_the_depth_belongs_to_the_mounted_left_camera(cfg, p95):
     assert (np.nanmedian(error) < 0.005, np.nanquantile(error, 0.95) < p95) == (True, True)
 
 
+def test_the_number_of_disparities_is_that_of_the_rectified_camera(monkeypatch):
+    """A camera mounted 20 degrees nose up, rectified to a level one, which needs more disparities."""
+    counts, image = [], view(texture(), 0.0)
+
+    def count_only(_cfg, count, grey, _right):
+        counts.append(count)
+        return np.ones(grey.shape, np.float32)
+
+    monkeypatch.setattr(stereo, "disparity", count_only)
+    up = rotation_from_rpy(0.35, 0.0, 0.0)
+    left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5, tuple(up.ravel())))
+    for camera, ego_T_left in ((LEFT, MOUNTING), (left, MOUNTING @ g.rigid(up, np.zeros(3)))):
+        stereo.match(FULL, camera, RIGHT, ego_T_left, image, image)
+    assert counts[0] == counts[1] == disparities_needed(LEFT, RIGHT.baseline_m, MOUNTING)
+
+
 def test_pixels_outside_an_image_before_rectification_are_unknown():
     right = replace(RIGHT, lens=g.Lens(200, 200, 119.5 - 60, 59.5))
     left = replace(LEFT, lens=g.Lens(200, 200, 119.5, 59.5 - 30))
@@ -193,6 +259,13 @@ def test_pixels_outside_an_image_before_rectification_are_unknown():
     assert np.isnan(depth[:, :79]).mean() > 0.95
     assert np.nanmedian(depth) == pytest.approx(5.0, rel=0.01)
     assert np.isfinite(depth[40:-10, 90:-10]).mean() > 0.95
+
+
+def test_a_right_camera_with_other_intrinsics_is_resampled_to_the_left_one():
+    right = replace(RIGHT, fx=190.0, fy=205.0, cx=130.0, cy=55.0)
+    lens = replace(LEFT, lens=g.Lens(right.fx, right.fy, right.cx, right.cy))
+    depth = matched(FULL, view(texture(), 0.0), lens_view(lens, view(texture(), 20.0)), LEFT, right)
+    assert np.nanmedian(np.abs(depth[20:-20, 60:-20] - 5.0)) < 0.05
 
 
 @pytest.fixture(scope="module")
@@ -280,6 +353,15 @@ def test_rendered_stereo_against_its_depth(tmp_path):
     for cfg, limit_px in ((FULL, 0.6), (FAST, 0.9)):
         epe_px, d1_ratio, coverage = figures(cfg, *scene)
         assert (epe_px < limit_px, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("scene", ["town", "bend", "hill"])
+def test_rendered_stereo_at_full_size(tmp_path, scene):
+    drive = rendered(tmp_path, "--scene", scene, "--seconds", "5", "--rate", "2")
+    epe_px, d1_ratio, coverage = figures(FULL, *drive)
+    figures(FAST, *drive)
+    assert (epe_px < 0.6, d1_ratio < 0.03, coverage >= 0.85) == (True, True, True)
 
 
 def test_halving_an_odd_image_counts_its_last_row_and_column_twice():

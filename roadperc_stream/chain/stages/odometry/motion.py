@@ -156,14 +156,11 @@ def standing_motion(camera: Camera, points_m: Float, key_px: Float32, px: Float3
     return replace(motion, still=covariance, noise_variance=variance, length_variance=variance)
 
 
-def linearise(
-    camera: Camera, points_m: Float, px: Float, this_T_key: Float, std_per_m: float = _DEPTH_STD_PER_M
-) -> tuple[Float, Float, Mask]:
+def linearise(camera: Camera, points_m: Float, px: Float, this_T_key: Float) -> tuple[Float, Float, Mask]:
     """Weighted residuals of a (4, 4) motion and their derivatives, in standard deviations.
 
-    ``points_m`` are (N, 3) in the keyframe's camera, found at (N, 2) ``px`` in this frame. ``std_per_m`` is the
-    standard deviation of their depth over its square. Rows are multiplied by the square root of Huber's weight, so the
-    products of the rows are the weighted normal equations.
+    ``points_m`` are (N, 3) in the keyframe's camera, found at (N, 2) ``px`` in this frame. Rows are multiplied by the
+    square root of Huber's weight, so the products of the rows are the weighted normal equations.
 
     Returns:
         (2 N,) residuals, u and v of each point; (2 N, 6) derivatives by a small translation and rotation of this
@@ -179,7 +176,7 @@ def linearise(
         a, b, c, d = fx / z, -fx * x / (z * z), fy / z, -fy * y / (z * z)
         off_px = np.stack((px[:, 0] - (fx * x / z + camera.cx), px[:, 1] - (fy * y / z + camera.cy)))
         along_u, along_v = a * ray_x + b * ray_z, c * ray_y + d * ray_z
-        depth_std_m = std_per_m * (Z * Z)
+        depth_std_m = _DEPTH_STD_PER_M * (Z * Z)
         variance = std_px**2 + (along_u * along_u + along_v * along_v) * (depth_std_m * depth_std_m)
         off = np.sqrt((off_px[0] * off_px[0] + off_px[1] * off_px[1]) / variance)
         agrees: Mask = (z > _NEAREST_M) & (off < INLIER_PX / PIXEL_STD_PX)

@@ -56,6 +56,13 @@ def test_covariance_holds_the_error():
     assert np.mean(errors) < 3.0
 
 
+def test_a_camera_of_few_pixels_gives_no_error():
+    """At the highest noise, a pixel is wider than the search strip."""
+    x, y = points((1.7, 0.0, 0.0)).T
+    aside_m = curves._best_aside(x, y, np.array([1.7, 0.0, 0.0]), -1.0, curves._Noise(16.0, 1 / 20))
+    assert abs(aside_m) < curves._SEARCH_M
+
+
 def test_edges_of_a_single_row_are_not_a_curve():
     """A tag error may be a dotted row, a metre wide, with all points at the same distance ahead."""
     aside = np.linspace(1.2, 2.2, 40)

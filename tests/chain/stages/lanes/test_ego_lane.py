@@ -139,6 +139,16 @@ def test_a_dash_too_short_for_a_hough_line_is_measured():
     assert lanes.side("left").offset_m == pytest.approx(1.8, abs=0.05)
 
 
+def test_a_far_fragment_is_not_a_boundary():
+    road = Road(width=1280, height=960)
+    tags = road.tags()
+    x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
+    tags[(tags == LINE)] = ROAD
+    tags[(np.abs(y - 0.9) < 0.15) & (x > 16) & (x < 60)] = LINE
+    _, lanes = look(road, tags)
+    assert lanes.side("left").status == "lost"
+
+
 def course_frame(data_dir, number):
     tags = np.loadtxt(data_dir / "course_frames" / "segmentation" / f"{number}.dat", delimiter=",").astype(np.uint8)
     return Road(width=1280, height=960, height_m=1.5), tags

@@ -127,6 +127,18 @@ def test_a_boundary_of_a_lane_too_narrow_is_lost_with_a_reason():
     assert lost.reason.values[1:] == (pytest.approx(1.6, abs=0.05), 2.0, 7.0)
 
 
+def test_a_line_across_the_lane_is_not_a_boundary():
+    road = Road(width=1280, height=960)
+    tags = road.tags()
+    x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
+    tags[tags == LINE] = ROAD
+    tags[(np.abs(y - (2.0 - 0.6 * x)) < 0.1) & (y > -1.8) & (x > 0)] = LINE
+    _, lanes = look(road, tags)
+    left, right = lanes.boundaries
+    assert (left.status, right.status) == ("lost", "measured")
+    assert left.reason is not None
+
+
 def test_another_scene_clears_the_lanes():
     near, far = Road(left_m=1.2, right_m=-2.4), Road(left_m=1.6, right_m=-2.0)
     state, _ = look(near)
@@ -135,3 +147,12 @@ def test_another_scene_clears_the_lanes():
     assert [boundary.offset_m for boundary in lanes.boundaries] == [b.raw_offset_m for b in lanes.boundaries]
     _, later = look(far, None, state, 100)
     assert [boundary.offset_m for boundary in later.boundaries] == [b.raw_offset_m for b in later.boundaries]
+
+
+def test_a_frame_without_an_image_holds_the_lanes():
+    road = Road()
+    state, _ = look(road)
+    lost = Odometry("lost", np.eye(4), reason=Reason("odometry", "no_image"))
+    after, lanes = look(road, np.full_like(road.tags(), ROAD), state, 1, motion=lost)
+    assert [boundary.status for boundary in lanes.boundaries] == ["held", "held"]
+    assert after.left is not None

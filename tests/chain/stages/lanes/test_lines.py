@@ -30,6 +30,24 @@ def test_merge_joins_lines_with_similar_slope_and_intercept():
     ]
 
 
+@pytest.mark.parametrize(
+    ("proposals", "rows", "groups"),
+    [
+        pytest.param([line(-1.0, 1000), line(-1.09, 1000), line(-1.18, 1000)], 960, 2, id="far from the first line"),
+        pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 960, 1, id="30 of 960 rows apart"),
+        pytest.param([line(-1.0, 500, 480, 250), line(-1.0, 530, 480, 250)], 480, 2, id="30 of 480 rows apart"),
+    ],
+)
+def test_lines_near_the_first_line_of_a_group_are_merged(proposals, rows, groups):
+    assert len(lines.merge(np.array(proposals), rows)) == groups
+
+
+def test_a_group_remembers_the_rows_that_support_it():
+    (group,) = lines.merge(np.array([line(-1.0, 1000, 900, 700), line(-1.0, 1001, 650, 600)]), 960)
+    assert (group.top_px, group.bottom_px) == (600, 900)
+    assert lines.drawn(group, 960.0, 500.0) == pytest.approx((40.5, 960.0, 500.5, 500.0))
+
+
 def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     road = np.zeros((960, 1280), bool)
     road[500:, 300:900] = True
@@ -51,6 +69,22 @@ def test_line_shares_equal_those_of_their_pixels(margin):
         count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
         along = (np.rint(np.linspace(*ends, count)).astype(int) for ends in ((y1, y2), (x1, x2)))
         assert share == widened[tuple(along)].mean()
+
+
+def test_a_vertical_line_is_a_line_and_a_single_pixel_is_not():
+    proposals = np.array([[500.0, 700, 500, 700], [500.0, 900, 500, 600]])
+    kept = lines.on_road(proposals, np.ones((960, 1280), bool))
+    np.testing.assert_array_equal(kept, proposals[[1]])
+    (group,) = lines.merge(kept, 960)
+    assert group.x(960.0) == pytest.approx(500.0, abs=1e-3)
+
+
+def test_far_end_ignores_a_speck():
+    road = np.zeros((100, 200), bool)
+    road[40:, 50:150] = True
+    road[5, 7] = True
+    assert lines.road_far_end(road) == 40
+    assert lines.road_far_end(np.zeros((100, 200), bool)) is None
 
 
 def test_public_figures_of_course_frame_0(data_dir):

@@ -160,6 +160,12 @@ def after(*names, step_ns=STEP_NS, cfg=CFG):
     return majorities
 
 
+def test_a_lasting_change_of_class_wins_after_half_the_window():
+    for step_ns, frames in ((STEP_NS, 6), (STEP_NS // 2, 11)):
+        majorities = after(*["road"] * 40, *["sidewalk"] * 20, step_ns=step_ns)
+        assert majorities[40:].index("sidewalk") + 1 == frames
+
+
 def test_the_majority_of_the_classes_in_the_window():
     """The latest of equally frequent classes wins; empty names are ignored; without a window only one frame counts."""
     assert after("road", "vehicle") == ["road", "vehicle"]
@@ -183,3 +189,12 @@ def test_the_lanes_classes_do_not_flicker():
     assert set(outside[:12]) == {"road"}
     assert outside[-1] == "vehicle"
     assert sum(a != b for a, b in pairwise(outside)) == 1
+
+
+def test_a_held_boundary_keeps_its_classes():
+    road = Road()
+    state, _ = look(road)
+    blank = road.tags() * 0 + ROAD
+    for k in range(1, 11):
+        state, lanes = look(road, blank, state, k)
+        assert (lanes.side("right").status, lanes.side("right").outside) == ("held", "sidewalk")

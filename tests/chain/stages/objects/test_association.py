@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 from hypothesis import given, settings
@@ -107,3 +108,19 @@ def test_the_place_on_the_ground_comes_before_the_overlap():
     assert largest_total(similarities(CFG, [track], items, boxes, seen[:2])) == {0: 0}
     assert largest_total(similarities(CFG, [track], items[:1], boxes[:1], seen[2:])) == {}
     assert similarities(CFG, [track], items[1:], boxes[1:], seen[1:2]) > 0, "its distance may have jumped"
+
+
+def test_boxes_that_overflow_have_no_similarity():
+    wild = Box(-1.7e308, -1.7e308, 1.7e308, 1.7e308)
+    scores = overlap_similarities(CFG, [track_at(None)], [item_at(None)] * 2, [wild, Box(0, 0, 1e-200, 1e-200)])
+    assert scores.tolist() == [[0.0, 0.0]]
+    assert similarities(CFG, [track_at(None)], [], [], []).shape == (1, 0)
+
+
+def test_thousands_of_detections_are_associated_within_a_second():
+    seen = Sighting((0.0, 0.0, 20.0), 0.1, 0.1)
+    tracks = [object_track.seen_at(track_at(20.0, number), seen) for number in range(256)]
+    items, boxes = [item_at(20.0)] * 5000, [Box(0, 0, 10, 10)] * 5000
+    started = process_time()
+    assert len(largest_total(similarities(CFG, tracks, items, boxes, [seen] * 5000))) == 256
+    assert process_time() - started < 1.0

@@ -61,6 +61,13 @@ def test_standard_deviations_grow_with_the_square_of_the_distance():
         assert item.distance_std_m == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.parametrize("source", ["assumed", "held"])
+def test_a_plane_that_is_not_estimated_has_a_larger_deviation(source):
+    surface = replace(LEVEL, source=source)
+    assert ground_of(surface, radians(0.2), mounted=True).pitch_std >= radians(0.3)
+    assert ground_of(surface, 0.0, mounted=False).height_std == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize(
     "box",
     [
@@ -82,6 +89,12 @@ def test_a_lower_edge_behind_nearer_boxes_is_no_contact(left_m, hidden):
     far, near = measured(back(20.0), back(15.0, left_m=left_m))
     assert (far.distance_m is None) == hidden
     assert near.distance_m is not None
+
+
+def test_a_dropped_detection_hides_nothing():
+    far, near = Object(back(20.0), kept=True), Object(back(15.0), kept=False)
+    assert contacts(ROAD.camera, GROUND, [far, near]).keys() == {0, 1}
+    assert contacts(ROAD.camera, GROUND, [far, replace(near, kept=True)]).keys() == {1}
 
 
 def drive(speed_mps, frames=40, start_m=30.0, noise_px=0.5, pitch_error=0.0, seed=0, left_m=0.0):
@@ -123,3 +136,23 @@ def test_a_car_at_a_constant_distance_or_beside_the_path_has_no_time_to_impact()
     beside = drive(10.0, left_m=4.0)[0][-1]
     assert (beside.in_path, beside.time_to_impact_s) == (False, None)
     assert beside.lateral_m == pytest.approx(4.0, abs=1.2)
+
+
+def test_depth_ends_what_the_ground_began():
+    state = ObjectsState()
+    for frame, ground in ((1, GROUND), (2, GROUND), (3, None)):
+        depth_m = np.full(ROAD.camera.size, 19.0, np.float32) if ground is None else None
+        scene = scene_of(
+            ROAD.camera, ROAD.ego_T_camera, stamp_ns=frame * STEP_NS, detections=(back(20.0, "Car"),), depth_m=depth_m
+        )
+        state, objects = step(CFG, state, scene, ground=ground)
+        (track,) = state.tracks
+        (item,) = objects.objects
+        assert (track.growth is None, track.ground_share is None) == (ground is None, ground is None)
+        assert item.distance_source == ("depth" if ground is None else "ground")
+
+
+def test_a_box_that_a_nearer_one_touches_is_whole_but_not_clear():
+    objects = [Object(d, kept=True) for d in (back(20.0), back(15.0, left_m=1.3), back(20.0, left_m=-6.0))]
+    found = contacts(ROAD.camera, GROUND, objects)
+    assert {k: at.clear for k, at in found.items()} == {0: False, 1: True, 2: True}

@@ -1,5 +1,6 @@
 """Closing speed and objects tracked by template on rendered logs with truth."""
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -7,6 +8,9 @@ import roadperc_stream as rp
 from roadperc_stream.cli import convert, render
 from roadperc_stream.config import STAGES, load_config, switched_off
 from roadperc_stream.output.tables import sidecar_path
+
+NOISE = ("--tag-noise", "0.02", "--depth-noise", "0.01", "--rgb-noise", "3")
+
 
 ERROR_MPS = (pl.col("closing_speed_mps") - pl.col("true_closing_speed_mps")).abs()
 NEAR_M = 30.0
@@ -46,3 +50,18 @@ def test_short_closing_speed_of_near_objects(tmp_path):
     tracked = rows.filter(pl.col("status") == "tracked")
     assert tracked.height > 0
     assert tracked["is_true"].mean() > 0.7
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("seed", ["0", "1", "2"])
+@pytest.mark.parametrize(
+    ("options", "limit_mps"),
+    [(("--scene", "straight"), 0.25), (("--scene", "town", *NOISE), 0.35), (("--scene", "town", "--static"), 0.25)],
+    ids=["straight", "town, noise", "town, static"],
+)
+def test_closing_speed_of_near_objects(tmp_path, options, limit_mps, seed):
+    near = well_visible(kept_objects(tmp_path, *options, "--seconds", "5", "--seed", seed))
+    errors = near.select(ERROR_MPS).to_series()
+    print(f"\n{' '.join(options)} --seed {seed}: median {errors.median():.3f} m/s, {1 - np.mean(errors.is_null()):.0%}")
+    assert errors.median() < limit_mps
+    assert errors.is_not_null().mean() > 0.85

@@ -1,5 +1,6 @@
 """Detections filtered by tags, with ratios and distances computed by hand, and the choice of regions."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -16,6 +17,9 @@ from tests.scenes import scene_of
 CAMERA = Camera("camera", 100, 80, 50.0, 50.0, 50.0, 40.0)
 CFG = ObjectsConfig()
 LECTURE = ObjectsConfig(filter="class_ratio", distance_pixels="class")
+
+
+SCORES = ((0.9, 0.1, 0.5), (0.1, 0.9, 0.5), (0.5, 0.5, 0.5))
 
 
 def pictures(depth_m=10.0):
@@ -81,6 +85,19 @@ def test_a_stray_pixel_counts_only_with_quantile_0(place, x_max, pixels):
     assert filtered(car, minimum, depth=depth).distance_m < 1.3
 
 
+def test_unknown_label_is_kept_without_a_ratio():
+    item = filtered(box("Unicorn", 10, 20, 30, 40))
+    assert (item.kept, item.class_ratio) == (True, None)
+    assert item.distance_m is not None
+
+
+def test_without_tags_everything_is_kept():
+    _, depth = pictures()
+    scene = scene_of(CAMERA, depth_m=depth, limit_m=65.535)
+    (item,) = filter_detections(CFG, scene, (box("Car", 60, 50, 90, 70),), {}).objects
+    assert (item.kept, item.class_ratio) == (True, None)
+
+
 def test_without_detections_objects_are_absent_with_a_reason():
     assert filter_detections(CFG, scene_of(CAMERA), None, {}) == Absent(Reason("objects", "no_detections"))
 
@@ -118,6 +135,14 @@ def test_the_second_box_of_one_object_is_dropped():
     assert [item.kept for item in judged((12, 20, 40, 50), (10, 20, 40, 50))] == [False, True]
 
 
+def test_the_score_has_no_effect():
+    tags, depth = two_cars()
+    scene = scene_of(CAMERA, tags=tags, depth_m=depth)
+    boxes = ((10, 20, 40, 50), (15, 22, 30, 36), (30, 15, 70, 40))
+    scored = [tuple(replace(box("Car", *b), score=s) for b, s in zip(boxes, scores, strict=True)) for scores in SCORES]
+    assert len({tuple(i.kept for i in filter_detections(CFG, scene, found, {}).objects) for found in scored}) == 1
+
+
 def test_beyond_the_depths_range_the_share_of_the_class_decides():
     """Beyond the range cars cannot be separated: they form one region, larger than any box."""
     tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
@@ -126,6 +151,14 @@ def test_beyond_the_depths_range_the_share_of_the_class_decides():
     assert (one.kept, one.beyond_range, one.distance_m) == (True, True, None)
     assert not sparse.kept
     assert not judged((20, 30, 28, 34), tags=tags, depth_m=np.minimum(depth, 60.0))[0].kept
+
+
+def test_a_car_before_the_depths_limit_is_separate_from_those_beyond():
+    tags, depth = np.zeros(CAMERA.size, np.uint8), np.full(CAMERA.size, 65.535, np.float32)
+    tags[30:36, 10:60], depth[30:36, 20:30] = VEHICLE, 64.5
+    (item,) = judged((20, 30, 30, 36), tags=tags, depth_m=depth)
+    assert item.kept
+    assert 64.5 * np.hypot(1, 0.4) < item.distance_m < 64.5 * np.hypot(1, 0.6)
 
 
 def test_a_new_object_needs_enough_pixels_of_its_class():
@@ -149,6 +182,14 @@ def test_an_expected_object_needs_a_lower_fit():
     too_small = (15, 22, 30, 36)
     assert not judged(too_small)[0].kept
     assert judged(too_small, expected={0: None})[0].kept
+
+
+def test_instances_override_the_depth():
+    """One instance contains both cars, which the depth would divide."""
+    ids = np.full(CAMERA.size, 5, np.uint16)
+    (item,) = judged((10, 15, 70, 50), instances=ids)
+    assert item.kept
+    assert item.distance_m == pytest.approx(10.4, abs=0.5)
 
 
 @pytest.mark.parametrize("nothing", [np.nan, np.inf, 0.0])
@@ -211,6 +252,12 @@ def test_regions_differ_by_place_distance_or_kind():
     assert chosen(["Car", "Car"], first, [candidate(1, 0.8, 11.0)])[1] != NOTHING
     assert chosen(["Car", "Pedestrian"], first, [candidate(1, 0.8, 10.0)])[1] != NOTHING
     assert chosen(["Car", "Truck"], first, [candidate(1, 0.8, 10.0)])[1] == NOTHING
+
+
+def test_regions_without_distances_are_all_different():
+    assert chosen(["Car", "Car"], [candidate(0, 0.9, None)], [candidate(1, 0.8, None)]) == [(0.9, None), (0.8, None)]
+    assert chosen([]) == []
+    assert chosen(["Car"], []) == [NOTHING]
 
 
 @pytest.mark.parametrize(("expected_m", "chosen_m"), [(None, 16.5), (12.5, 12.6), (16.0, 16.5), (30.0, 16.5)])

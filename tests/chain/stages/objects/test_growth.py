@@ -84,6 +84,11 @@ def test_fusion_allows_for_the_lower_edge_that_both_use():
     assert Approach(0.5, 0.001).fused(Approach(0.4, 0.1), GATE) == Approach(0.5, 0.001)
 
 
+def test_the_deviation_of_a_time_covers_that_of_the_rate():
+    found = Approach(0.5, 0.01)
+    assert found.time_to_impact_std_s == pytest.approx((1 / 0.4 - 1 / 0.6) / 2)
+
+
 def test_the_approach_of_a_distance():
     distance = rate_filter.RateFilter(20.0, -5.0, 0.04, 0.0, 0.25)
     found = growth.of_distance(distance, 1.0, 0.1)

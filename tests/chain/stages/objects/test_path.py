@@ -207,6 +207,25 @@ def test_cut_in_needs_a_least_speed(cut_in_mps, cuts_in):
     assert (item.in_path, item.cut_in) == (False, cuts_in)
 
 
+def test_no_cut_in_along_the_line_and_unknown_without_a_lane():
+    (item,) = nearing(-2.4).objects
+    assert (item.in_path, item.cut_in) == (False, False)
+    out = nearing(-2.4, lane=None)
+    assert out.path_source == "straight"
+    assert (out.objects[0].in_path, out.objects[0].cut_in) == (False, None)
+
+
+def test_places_change_with_the_lane():
+    """A car in the left lane is beside the path until the ego car has crossed the line."""
+    road = Road()
+    for _ in range(10):
+        (item,) = road.frame((20.0, 2.6)).objects
+    assert (item.in_path, item.lateral_m) == (False, pytest.approx(2.6, abs=0.1))
+    road.lane = lanes(3.4, -0.1, changes=3)
+    (item,) = road.frame((20.0, 2.6)).objects
+    assert (item.in_path, item.lateral_m) == (True, pytest.approx(0.95, abs=0.1))
+
+
 def test_odometry_gives_the_closing_speed_while_braking():
     """The ego car brakes at 8 m/s2 behind a standing car; without odometry the filter reacts late."""
     errors = {}

@@ -43,6 +43,14 @@ def test_two_steps_are_one(a, b):
     np.testing.assert_allclose(astuple(twice), astuple(once), rtol=1e-9, atol=1e-12)
 
 
+def test_covariance_stays_positive_over_thousands_of_frames():
+    state = rate_filter.start(0.0, 1e-3, 20.0)
+    for _ in range(5000):
+        state = state.predict(WANDER, 0.05).update(0.0, 1e-3)
+        assert state.value_var > 0
+        assert state.value_var * state.rate_var > state.cross_var**2
+
+
 def test_a_value_without_rate_keeps_the_rate_and_adds_variance():
     filtered = rate_filter.start(10.0, 0.1, 2.0).predict(1.5, 0.1).at(9.0, 0.2, 3.0)
     assert (filtered.value, filtered.rate, filtered.cross_var) == (9.0, 0.0, 0.0)
@@ -66,6 +74,11 @@ def test_the_jitter_about_a_line_is_estimated_at_any_frame_rate(true_m, steps_ns
         distances = 40.0 - 7.0 * stamps / 1e9 + rng.normal(0, true_m, len(stamps))
         found.append(after(distances.tolist(), stamps.tolist()).variance)
     assert sqrt(np.mean(found)) == pytest.approx(true_m, rel=0.2)
+
+
+def test_the_jitter_is_at_most_the_deviation_of_a_distance():
+    stamps = [k * 50_000_000 for k in range(1, 60)]
+    assert sqrt(after([10.0 + (k % 2) for k in range(59)], stamps).variance) <= STD_M + 1e-9
 
 
 def test_an_outlier_has_a_larger_deviation():

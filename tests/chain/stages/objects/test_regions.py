@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from roadperc_stream.chain.stages.objects.mosaic import Mosaic, cut_out
+from roadperc_stream.chain.stages.objects import regions
+from roadperc_stream.chain.stages.objects.mosaic import LONGEST_SIDE, Mosaic, cut_out
 from roadperc_stream.chain.stages.objects.regions import (
     JUMPS,
     MISSING_WEIGHT,
@@ -70,6 +71,13 @@ def test_a_far_region_that_may_be_another_car_of_a_row_is_uncertain(fit, next_m,
     assert least_m <= std_m <= most_m
 
 
+def test_the_order_of_boxes_does_not_matter():
+    one, other = regions_of(NEAR, FAR), regions_of(FAR, NEAR)
+    assert [r.fit for r in one[0]] == [r.fit for r in other[1]]
+    assert [r.box_px for r in one[1]] == [r.box_px for r in other[0]]
+    assert [r.fit for r in regions_of(FAR)[0]] == [r.fit for r in one[1]]
+
+
 def test_a_side_that_recedes_is_not_divided():
     """From 8 m to 16 m over 40 columns: 2 % a column."""
     tags = np.zeros(CAMERA.size, np.uint8)
@@ -119,6 +127,27 @@ def test_isolated_pixels_and_pairs_belong_to_no_region():
     assert mosaic.of_class.max() == 1
 
 
+def test_large_boxes_are_sampled_within_the_image():
+    camera = Camera("camera", 1000, 800, 500.0, 500.0, 499.5, 399.5)
+    tags = np.full(camera.size, VEHICLE, np.uint8)
+    scene = scene_of(camera, tags=tags, depth_m=np.full(camera.size, 5.0, np.float32))
+    box = Box(-50, -50, 1200, 300)
+    mosaic = cut_out(scene, [label_lookup(TABLE, "Car")], [box])
+    assert max(mosaic.of_class.shape) <= LONGEST_SIDE + 1
+    (region,) = find_regions(camera, mosaic, [box])[0]
+    assert (region.box_px.x_min, region.box_px.y_min) == (0, 0)
+    assert region.fit > 0.75
+
+
+@pytest.mark.parametrize(
+    "box", [Box(300, 10, 320, 30), Box(50, 50, 50, 50), Box(-40, -40, -20, -20), Box(-1e308, 5, -9e307, 9)]
+)
+def test_boxes_without_pixels_have_no_regions(box):
+    assert regions_of(box, NEAR)[0] == ()
+    assert regions_of(box) == [()]
+    assert regions_of() == []
+
+
 def test_unknown_depth_does_not_divide_or_measure():
     tags, depth = rows_of_cars()
     (region,) = regions_of(NEAR, tags=tags, depth=np.full_like(depth, np.nan))[0][:1]
@@ -163,3 +192,16 @@ def test_each_region_of_each_jump_once():
         assert len(set(found)) == len(found)
         assert set(found) == set.union(*expected)
         assert {r for r, way in zip(found, division.ways, strict=True) if way == 0} == expected[0]
+
+
+def test_no_pixels_of_the_class():
+    division = divide(mosaic_of(np.zeros((5, 4), np.uint8), np.zeros((5, 4), np.float32)))
+    assert (division.bounds.shape, division.pixels.shape) == ((4, 0), (0,))
+
+
+def test_a_distance_is_the_mean_of_the_regions_known_ones_around_it():
+    of_region = np.array([[1, 1, 1, 1], [0, 1, 1, 0]], bool)
+    distances_m = np.float32([[1, 2, np.nan, np.inf], [100, 6, 9, 100]])
+    near_m, noise = regions._smoothed(of_region, distances_m, np.float32([[1, 2, 3, 4], [5, 6, 7, 8]]))
+    assert near_m.tolist() == [3.0, 4.5, np.inf, 4.5, np.float32(17 / 3)]
+    assert noise.tolist() == [1.0, 2.0, 6.0, 7.0]

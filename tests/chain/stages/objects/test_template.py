@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from roadperc_stream import geometry as g
-from roadperc_stream.chain.stages.objects.template import LABEL, correlate, cut, find_obstacle, png_of
+from roadperc_stream.chain.stages.objects.template import LABEL, correlate, cut, find_obstacle, picture, png_of
+from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.model import Box
+from roadperc_stream.model import Absent, Box
 from tests.chain.stages.objects.frames import CAMERA, texture
 from tests.scenes import scene_of
 
@@ -70,6 +71,12 @@ def cfg_of(grey, **settings):
     return ObjectsConfig(template_png=png_of(grey), **settings)
 
 
+def test_a_picture_is_the_same_pixels_in_base_64():
+    grey = texture()[:20, :30]
+    assert (picture(png_of(grey)) == grey).all()
+    assert picture("iVBORw0KGgo=") is None
+
+
 def test_an_obstacle_is_found_after_any_displacement():
     image = texture()
     scene = scene_of(CAMERA, grey=np.roll(image, (7, -31), (0, 1)))
@@ -105,3 +112,22 @@ def test_the_obstacles_distance_is_along_the_ray_or_the_axis():
     )
     assert (depth, low) == (12.0, 20.0)
     assert ray == pytest.approx(12.0 * np.sqrt(1 + (118.5 / 200) ** 2 + (57.5 / 200) ** 2))
+
+
+@pytest.mark.parametrize("template_distance", ["ray", "depth"])
+def test_an_obstacle_beyond_the_depths_range_has_no_distance(template_distance):
+    image = texture()
+    limit_m = 65.535
+    depth_m = np.full(image.shape, limit_m, np.float32)
+    scene = scene_of(CAMERA, grey=image, depth_m=depth_m, limit_m=limit_m)
+    item, _ = find_obstacle(cfg_of(image[60:95, 40:90], template_distance=template_distance), scene)
+    assert (item.distance_m, item.beyond_range) == (None, True)
+
+
+def test_an_obstacle_is_an_object_without_detections():
+    image = texture()
+    scene = scene_of(CAMERA, grey=image)
+    _, out = step(cfg_of(image[60:95, 40:90]), ObjectsState(), scene)
+    assert [item.detection.box_px for item in out.objects] == [Box(40.0, 60.0, 90.0, 95.0)]
+    assert len(out.searches) == 1
+    assert isinstance(step(ObjectsConfig(), ObjectsState(), scene)[1], Absent)

@@ -5,10 +5,12 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from roadperc_stream.chain.stages.objects import tracker
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
-from roadperc_stream.model import Absent, Reason
+from roadperc_stream.config import ObjectsConfig
+from roadperc_stream.model import Absent, Box, Reason
 from tests.analytic import STEP_NS, box
-from tests.chain.stages.objects.frames import CAMERA, CFG, Follower, depth_of, moved, tags_of, texture
+from tests.chain.stages.objects.frames import CAMERA, CFG, FAR_M, LIMIT_M, Follower, depth_of, moved, tags_of, texture
 from tests.scenes import scene_of
 
 CAR = box("Car", 100, 80, 140, 110)
@@ -63,6 +65,19 @@ def test_standard_deviations_agree_with_the_errors_of_many_logs():
     assert 0.3 < np.std(impacts) < 1.1
 
 
+@pytest.mark.parametrize(
+    ("corners", "expected"),
+    [
+        ((10.0, 20.0, 30.0, 40.0), (10.0, 20.0, 30.0, 40.0)),
+        ((-5.0, -6.0, 400.0, 300.0), (0.0, 0.0, 320.0, 240.0)),
+        ((330.0, 250.0, 340.0, 260.0), (320.0, 240.0, 320.0, 240.0)),
+        ((-9.0, -8.0, -2.0, -1.0), (0.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_boxes_are_clipped_to_the_image(corners, expected):
+    assert astuple(tracker._within(CAMERA, Box(*corners))) == expected
+
+
 @pytest.mark.parametrize(("frames", "depth_m"), [(1, 20.0), (5, None)], ids=["one distance", "no depth"])
 def test_without_two_distances_an_object_has_an_id_but_no_motion(frames, depth_m):
     follower = Follower()
@@ -100,12 +115,38 @@ def test_a_jump_is_accepted_after_restart_s(restart_s, frames):
     assert accepted == [False] * frames + [True] * 2
 
 
+@pytest.mark.parametrize(("gate", "accepted"), [(CFG.gate, False), (1e4, True)])
+def test_a_jump_beyond_the_gate_is_rejected(gate, accepted):
+    """The jump is 14 standard deviations of measurement and prediction."""
+    follower = Follower(CFG.model_copy(update={"gate": gate}))
+    for _ in range(20):
+        follower.frame(CAR, depth_m=20.0)
+    before = follower.state.tracks[0].distance_m
+    follower.frame(CAR, depth_m=18.0)
+    after = follower.state.tracks[0].distance_m
+    predicted = before.predict(CFG.process_noise, STEP_NS / 1e9)
+    expected = predicted.update(18.0, CFG.min_distance_std_m) if accepted else predicted
+    assert CFG.gate < predicted.surprise(18.0, CFG.min_distance_std_m) < 1e4
+    assert astuple(after) == pytest.approx(astuple(expected))
+    assert (follower.state.tracks[0].rival_m is None) == accepted
+
+
 @pytest.mark.parametrize(("min_overlap", "name"), [(0.33, "1"), (0.34, "2")])
 def test_a_box_that_overlaps_less_is_a_new_object(min_overlap, name):
     """Moved by half its width, a box has an overlap of a third."""
     follower = Follower(CFG.model_copy(update={"min_overlap": min_overlap}))
     follower.frame(CAR)
     assert follower.frame(shifted(CAR, 20))[0].track_id == name
+
+
+def test_alternating_distances_do_not_restart_the_track():
+    """Two cars alternate in one box: the track of the first one continues."""
+    follower = Follower()
+    for _ in range(10):
+        follower.frame(CAR, depth_m=20.0)
+    for k in range(30):
+        follower.frame(CAR, depth_m=12.0 if k % 2 else 20.0)
+        assert follower.only.closing_speed_mps == pytest.approx(0.0, abs=0.1)
 
 
 def test_crossing_boxes_keep_their_ids():
@@ -201,6 +242,14 @@ def test_an_object_that_grows_is_found_at_its_size():
             assert follower.only.closing_speed_mps == pytest.approx(5.0, abs=0.3)
 
 
+def test_a_stray_detection_is_not_tracked_by_default():
+    image = texture()
+    for after_s, expected in ((0.1, 0), (0.0, 1)):
+        follower = Follower(CFG.model_copy(update={"carry_after_s": after_s}))
+        follower.frame(CAR, grey=image)
+        assert len(follower.frame(grey=image)) == expected
+
+
 def test_an_object_that_disappears_keeps_its_id():
     follower = Follower()
     seen_for(4, follower, texture())
@@ -218,6 +267,25 @@ def test_a_match_the_tags_contradict_is_rejected():
     assert len(follower.frame(grey=image, tags=tags_of(CAR))) == 1
 
 
+def test_a_match_on_a_detected_object_is_dropped():
+    """Two ids on one car, one from a box on half of it: only the detected object is reported."""
+    follower, image, half = Follower(), texture(), box("Car", 100, 80, 120, 110)
+    for _ in range(4):
+        follower.frame(CAR, half, grey=image, depth_m=20.0)
+    assert [item.status for item in follower.frame(CAR, grey=image, depth_m=20.0)] == ["measured"]
+
+
+def test_objects_tracked_by_template_come_last_whatever_their_age():
+    follower, image, late = Follower(), texture(), box("Car", 200, 80, 240, 110)
+    for _ in range(4):
+        follower.frame(CAR, late, grey=image)
+    later, coasted = follower.frame(late, grey=image)
+    assert [(later.status, later.detection), (coasted.status, coasted.track_id)] == [
+        ("measured", late),
+        ("tracked", "1"),
+    ]
+
+
 def test_a_missing_message_is_bridged_else_it_is_a_reason():
     follower, image = Follower(), texture()
     seen_for(4, follower, image)
@@ -226,3 +294,22 @@ def test_a_missing_message_is_bridged_else_it_is_a_reason():
     assert [item.status for item in coasted.objects] == ["tracked"]
     assert step(CFG, state, scene_of(CAMERA, stamp_ns=follower.stamp_ns + 2 * STEP_NS))[1] == absent
     assert step(CFG, ObjectsState(), scene_of(CAMERA, grey=image, stamp_ns=STEP_NS))[1] == absent
+
+
+def test_the_number_of_tracks_is_bounded(monkeypatch):
+    monkeypatch.setattr(tracker, "MOST_TRACKS", 5)
+    follower = Follower(ObjectsConfig(hold_s=1e4))
+    for k in range(30):
+        follower.frame(box("Car", 10 * k, 10, 10 * k + 8, 20))
+    assert [track.number for track in follower.state.tracks] == [26, 27, 28, 29, 30]
+
+
+def test_an_object_that_partly_lies_beyond_the_depths_range_is_tracked():
+    """Its distance has no standard deviation."""
+    follower, depth = Follower(), np.full(CAMERA.size, LIMIT_M, np.float32)
+    depth[80:82, 100:130] = FAR_M
+    for _ in range(3):
+        follower.frame(box("Car", 100, 80, 140, 105), depth_m=depth)
+    assert follower.only.distance_m == FAR_M
+    assert follower.only.distance_std_m is None
+    assert follower.state.tracks[0].distance_m is not None

@@ -8,6 +8,9 @@ import pytest
 
 from roadperc_stream import geometry as g
 from roadperc_stream.chain.stages.odometry import camera_pitch as cp
+from roadperc_stream.chain.stages.odometry.ego_motion import Estimate, _levelled
+from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry.keyframes import counted_from_here
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.road_image import road_motion, road_view
 from roadperc_stream.chain.stages.surface.road import assumed_surface
@@ -69,6 +72,14 @@ def test_the_variance_does_not_depend_on_the_frame_rate(steps):
         pitch = cp.predicted(CFG, pitch, g.rigid(np.eye(3), np.array([10 / steps, 0, 0])), 1 / steps)
     expected = 1e-5 + np.deg2rad(0.15) ** 2 * 10 + np.deg2rad(0.06) ** 2
     assert (pitch.offset, pitch.variance) == (pytest.approx(0.01), pytest.approx(expected))
+
+
+def test_the_pitch_is_reset_after_a_long_loss_and_not_after_a_frame():
+    known = cp.CameraPitch(0.02, 1e-5, measured=True)
+    after = cp.after_loss(CFG, known, 0.1)
+    assert after.offset == known.offset
+    assert known.variance < after.variance < 3e-5
+    assert cp.after_loss(CFG, known, 60.0) == cp.begun(CFG)
 
 
 def motion_of(this_T_key_ego, std=1e-4):
@@ -136,6 +147,15 @@ def test_the_road_gives_no_length_without_texture_or_if_no_length_fits():
     assert road_view(CAMERA, EGO_T_CAMERA, up, np.zeros(CAMERA.size, np.uint8)) is None
 
 
+def test_parts_of_the_road_that_disagree_enlarge_the_variance_of_the_length():
+    right, farther = (photograph(pose(x), ego_T_camera=DOWN).grey for x in (0.5, 0.8))
+    mixed = right.copy()
+    mixed[:, 320:] = farther[:, 320:]
+    whole = road_between(pose(0), pose(0.5), grey=right, believed=WRONG)
+    found = road_between(pose(0), pose(0.5), grey=mixed, believed=WRONG)
+    assert found is None or found.variance > (2 * np.sqrt(whole.variance) + 0.02) ** 2
+
+
 def test_the_road_ahead_follows_the_bend_and_has_no_movable_objects():
     def view(movable=None, bend_per_m=0.0):
         plane = g.transform_plane(g.inverse(EGO_T_CAMERA), g.Plane((0.0, 0.0, 1.0), 0.0))
@@ -161,6 +181,28 @@ def test_a_wrong_pitch_of_the_mounting_is_corrected(shots):
     assert abs(results[-1].odom_T_ego[2, 3]) < 0.2 * np.sin(WRONG) * lengths_m(results).sum()
 
 
+def test_the_pose_stays_level_after_a_new_origin(shots):
+    states, _ = run(shots[:6], depth=False, road=ROAD)
+    _, results = run(shots[6:], state=counted_from_here(states[-1]), first=6, depth=False, road=ROAD)
+    assert abs(results[-1].odom_T_ego[2, 3]) < 0.2 * np.sin(WRONG) * 8 * 0.4
+
+
+def test_the_pose_of_a_long_drive_is_still_a_rotation(shots):
+    """The error of one frame must not be doubled by the next one."""
+    keyframe, pitch = run(shots[:3], depth=False, road=ROAD)[0][-1].keyframe, cp.CameraPitch(WRONG, 1e-5, measured=True)
+    step = g.rigid(rotation_from_rpy(0.001, 0.002, 0.03), np.array([0.5, 0.0, 0.0]))
+    for _ in range(200):
+        odom_T_ego = keyframe.odom_T_camera @ g.inverse(EGO_T_CAMERA) @ step
+        odom_T_ego, keyframe, pitch = _levelled(Estimate(None, None, odom_T_ego, pitch), keyframe, 0.5)
+    np.testing.assert_allclose(odom_T_ego[:3, :3] @ odom_T_ego[:3, :3].T, np.eye(3), atol=1e-9)
+
+
+def test_a_fixed_pitch_is_not_corrected(shots):
+    states, results = run(shots[:6], CFG.model_copy(update={"pitch_std_deg": 0.0}), depth=False, road=ROAD)
+    assert (states[-1].pitch.offset, states[-1].pitch.variance, states[-1].pitch.measured) == (0.0, 0.0, False)
+    assert np.median(lengths_m(results)) > 1.05 * 0.4
+
+
 def blind(shot):
     """The shot with a road without texture."""
     grey = shot.grey.copy()
@@ -180,6 +222,19 @@ def test_on_a_road_without_texture_points_carry_the_scale_with_growing_variance(
     _, results = run(list(map(blind, shots[:3])), depth=False, road=ROAD)
     assert [out.up_to_scale for out in results[1:]] == [True] * 2
     assert {str(out.reason) for out in results[1:]} == {str(Reason("odometry", "scale_unknown"))}
+
+
+def test_the_pulls_of_a_motion_by_rays_are_its_scatter():
+    rng = np.random.default_rng(2)
+    X = g.unproject(CAMERA, rng.uniform((40, 40), (600, 440), (200, 2)), rng.uniform(4, 40, 200))
+    this_T_key = g.rigid(rotation_from_rpy(0, 0.01, 0), np.array([0.03, 0.01, -0.6]))
+    unknown, key_px, found = np.full_like(X, np.nan), g.project(CAMERA, X).astype(np.float32), []
+    for _ in range(40):
+        px = g.project(CAMERA, g.transform(this_T_key, X)) + rng.normal(0, 0.2, (200, 2))
+        found.append(motion_from_rays(CAMERA, key_px, px.astype(np.float32), unknown, 0.6))
+    sideways = np.std([m.this_T_key[:2, 3] for m in found], axis=0)
+    claimed = np.sqrt(np.mean([np.diag(m.influence.T @ m.influence)[:2] for m in found], axis=0))
+    assert ((sideways / claimed > 0.6) & (sideways / claimed < 1.6)).all()
 
 
 _SUBPIXEL_BITS = 6
@@ -239,6 +294,12 @@ def test_the_vanishing_point_is_on_the_horizon(elevation_deg, bearing):
 )
 def test_lines_without_a_common_point_near_the_horizon_are_rejected(segments):
     assert cp.pitch_by_lines(CAMERA, EGO_T_CAMERA, picture(segments), None) is None
+
+
+def test_lines_on_movable_objects_do_not_count():
+    image = picture(stripes_to(point_at(2.0)))
+    assert cp.pitch_by_lines(CAMERA, EGO_T_CAMERA, image, np.zeros(CAMERA.size, np.uint8)) is not None
+    assert cp.pitch_by_lines(CAMERA, EGO_T_CAMERA, image, np.ones(CAMERA.size, np.uint8)) is None
 
 
 def test_the_first_frame_uses_the_lines_but_they_are_not_sufficient_alone():

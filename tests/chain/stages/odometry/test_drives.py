@@ -11,7 +11,7 @@ from roadperc_stream import replay
 from roadperc_stream.chain.stages.odometry import ego_motion
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.cli import convert
+from roadperc_stream.cli import convert, render
 from roadperc_stream.config import OdometryConfig
 from roadperc_stream.geometry import EGO_R_OPTICAL, Camera, inverse, mounting, rigid
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
@@ -98,6 +98,20 @@ def test_course_odometry_turns_little_and_goes_ahead(data_dir, scaled):
         assert not scaled or np.rad2deg(np.arctan2(np.hypot(left, up), ahead)) < 10
 
 
+@pytest.mark.accuracy
+def test_standing_still(tmp_path):
+    options = ("--static", "--rgb-noise", "2", "--depth-noise", "0.01", "--seconds", "5")
+    assert render.main([str(tmp_path), *options]) == 0
+    camera, mounting = calibrated(tmp_path)
+    ego_T_camera = rigid(EGO_R_OPTICAL, np.array([mounting["rgb"][axis] for axis in "xyz"]))
+    for depth in (True, False):
+        for tags in (True, False):
+            results = track(pictures(tmp_path), camera, ego_T_camera, depth=depth, tags=tags)
+            stray_m = np.linalg.norm(poses(results)[:, :3, 3], axis=1).max()
+            print(f"\nstanding, depth {depth}, tags {tags}: strays {1000 * stray_m:.2f} mm")
+            assert stray_m < 0.02
+
+
 def stopping_drive(source, tmp_path):
     """The table of a replay with one camera."""
     assert convert.main([str(source), str(tmp_path / "in.mcap"), "--quiet"]) == 0
@@ -114,3 +128,21 @@ def test_a_real_car_that_stops_stands_where_it_stopped(data_dir, tmp_path):
     standing = table.filter(pl.col("step_m") < 0.01)
     assert len(standing) >= 10
     assert standing["step_std_m"].null_count() == 0
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize(
+    "options",
+    [
+        "--lead-brakes --seconds 7 --rate 10 --seed 1",
+        "--lead-brakes --seconds 7 --rate 10 --seed 4",
+        "--stop-and-go --seconds 5.5 --rate 8 --seed 7",
+    ],
+)
+def test_a_rendered_car_that_brakes_drives_as_far_as_it_should(tmp_path, options):
+    small = "--scene straight --fov 70 --size 320x240 --without right --without depth"
+    assert render.main([str(tmp_path / "dump"), *small.split(), *options.split()]) == 0
+    table = stopping_drive(tmp_path / "dump", tmp_path)
+    assert table.filter(pl.col("true_step_m") < 0.001)["step_m"].sum() < 0.005
+    assert table["step_m"].sum() == pytest.approx(table["true_step_m"].sum(), rel=0.03)
+    assert (table["step_error_m"] < 3 * table["step_std_m"] + 0.01).mean() > 0.95

@@ -4,15 +4,22 @@ import pickle
 from functools import cache
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from roadperc_stream.chain.stages.odometry.features import tracking_frame
+from roadperc_stream.chain.stages.odometry.followed import MIN_INLIER_RATIO, FollowedFrame
+from roadperc_stream.chain.stages.odometry.search import guesses
 from roadperc_stream.chain.stages.surface.road import assumed_surface
-from roadperc_stream.geometry import inverse
+from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.model import Absent, Reason
 from tests.chain.stages.odometry.street import CAMERA, CFG, EGO_T_CAMERA, STEP_NS, Shot, drive, photograph, pose, run
 from tests.chain.stages.odometry.trajectories import angle_deg, distances_m, relative_errors
 from tests.chain.test_chain import same
+from tests.scenes import scene_of
 
 POSES = drive(12)
 ROAD = assumed_surface(CAMERA, EGO_T_CAMERA)
@@ -52,6 +59,15 @@ def test_known_motion_with_depth(features, matcher):
         assert (out.since_ns is None, out.up_to_scale) == (False, False)
     sizes = [len(pickle.dumps(state)) for state in states]
     assert max(sizes) < 1.5 * min(sizes)
+
+
+def test_the_covariance_of_a_step_at_full_size_covers_its_error():
+    _, results = run(photographed()[:3], CFG.model_copy(update={"min_rows": 480}))
+    covariance = np.array(results[1].covariance).reshape(6, 6)
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    error = np.linalg.norm((inverse(POSES[1]) @ results[1].odom_T_ego)[:3, 3])
+    assert error < 5 * np.sqrt(np.trace(covariance[:3, :3])) + 0.002
 
 
 def test_standing_still_does_not_drift_while_a_car_passes():
@@ -143,6 +159,50 @@ def test_the_scale_is_right_before_a_stop_and_after_it(depth):
     assert abs(results[-1].odom_T_ego[0, 3] - at_m[-1]) < 0.03 * at_m[-1]
 
 
+def test_a_step_of_unknown_length_has_no_pose_until_the_road_shows_lengths_again():
+    plain = [Shot(np.where(np.arange(480)[:, None] < 240, s.grey, np.uint8(90)), s.depth_m) for s in photographed()[:3]]
+    _, results = run([*plain, *photographed()[3:]], depth=False, road=ROAD)
+    unknown = [out for out in results if not out.has_pose]
+    assert unknown == results[1:4]
+    assert {str(out.reason) for out in unknown} == {str(Reason("odometry", "scale_unknown"))}
+    assert all(out.covariance for out in unknown)  # that of the turn is known
+    driven_m = distances_m(poses(results[3:]))[-1]
+    assert driven_m == pytest.approx(distances_m(np.array(POSES[3:]))[-1], rel=0.02)
+
+
+IMAGES = st.one_of(
+    st.tuples(st.just("street"), st.integers(0, 11)),
+    st.tuples(st.just("noise"), st.integers(0, 3)),
+    st.tuples(st.just("zoom"), st.integers(-6, 12)),
+    st.tuples(st.just("plain"), st.just(0)),
+)
+
+
+def image(kind, number):
+    if kind == "street":
+        return photographed()[number].grey
+    if kind == "plain":
+        return np.zeros(CAMERA.size, np.uint8)
+    if kind == "noise":
+        return np.random.default_rng(number).integers(0, 256, CAMERA.size, np.uint8)
+    zoom = cv2.getRotationMatrix2D((CAMERA.cx, CAMERA.cy), 0.0, 1.1**number)
+    return cv2.warpAffine(photographed()[0].grey, zoom, CAMERA.size[::-1], borderMode=cv2.BORDER_REFLECT)
+
+
+@settings(max_examples=10)
+@given(
+    st.lists(IMAGES, min_size=3, max_size=6),
+    st.sampled_from([(True, None), (False, ROAD), (False, None)]),
+    st.sampled_from([0.5, 5.0, 70.0]),
+)
+def test_whatever_the_images_show_the_car_drives_no_farther_than_its_greatest_speed(images, source, most_mps):
+    depth, road = source
+    shots = [Shot(image(*each), photographed()[0].depth_m) for each in images]
+    _, results = run(shots, CFG.model_copy(update={"max_speed_mps": most_mps}), depth=depth, road=road)
+    for k, out in enumerate(results):
+        assert np.linalg.norm(out.odom_T_ego[:3, 3]) <= most_mps * k * STEP_NS / 1e9 + 1e-9
+
+
 def test_without_depth_the_shape_of_the_path_is_right():
     _, results = run(photographed(), depth=False)
     assert statuses(results) == ["first"] + ["tracked"] * 11
@@ -171,6 +231,26 @@ def test_the_scale_is_kept_while_depth_is_missing():
     assert np.linalg.norm((inverse(POSES[-1]) @ results[-1].odom_T_ego)[:3, 3]) < 0.1
 
 
+def test_depth_with_holes_and_noise_that_grows():
+    rng = np.random.default_rng(3)
+    shots = []
+    for shot in photographed():
+        disparity = 160.0 / shot.depth_m + rng.normal(0, 0.3, shot.depth_m.shape)
+        depth_m = (160.0 / np.maximum(disparity, 0.5)).astype(np.float32)
+        depth_m[rng.random(depth_m.shape) < 0.2] = np.nan
+        shots.append(Shot(shot.grey, depth_m))
+    _, results = run(shots)
+    assert relative_errors(poses(results), np.array(POSES), (4.0,), every=1)[0] < 0.02
+
+
+def test_features_on_movable_objects_are_not_used():
+    movable = np.zeros(CAMERA.size, bool)
+    movable[:, 320:] = True
+    states, results = run(photographed()[:3], movable=movable)
+    assert states[0].keyframe.landmarks.features.px[:, 0].max() < 160
+    assert statuses(results) == ["first", "tracked", "tracked"]
+
+
 def test_no_image_is_absent_and_a_blank_image_is_skipped():
     assert isinstance(run([None])[1][0], Absent)
     blank = Shot(np.full(CAMERA.size, 90, np.uint8), photographed()[0].depth_m)
@@ -191,3 +271,26 @@ def test_a_second_run_and_a_resumed_run_give_equal_results(features, matcher, de
     _, resumed = run(photographed()[2:4], cfg, pickle.loads(pickle.dumps(states[1])), first=2, depth=depth)
     assert same(tuple(results[:3]), tuple(again))
     assert same(tuple(results[2:]), tuple(resumed))
+
+
+@pytest.mark.parametrize("missed", [0, 1])
+def test_the_search_for_features_begins_where_a_steady_motion_predicts_them(missed):
+    """The motion is steady, so the next two poses are known."""
+    states, _ = run(photographed()[:4])
+    state, frame = states[-1], 4 + missed
+    stamp_ns = 1_000_000_000 + frame * STEP_NS
+    scene = scene_of(CAMERA, EGO_T_CAMERA, depth_m=photographed()[frame].depth_m, stamp_ns=stamp_ns)
+    view = tracking_frame(CFG, scene, photographed()[frame].grey, None)
+    this = FollowedFrame(CFG, view, state.keyframe, state.last, state.odom_T_ego, state.pitch)
+    (first, near, share), (second, anywhere, twice) = guesses(this)
+    camera_T_key = inverse(POSES[frame] @ EGO_T_CAMERA) @ state.keyframe.odom_T_camera
+    expected = project(view.camera, transform(camera_T_key, state.keyframe.landmarks.points_m))
+    known = np.isfinite(near).all(axis=1)
+    assert known.sum() > 50
+    assert np.median(np.linalg.norm(near[known] - expected[known], axis=1)) < 1.0
+    np.testing.assert_array_equal(first[known], near[known])
+    np.testing.assert_array_equal(second, state.last.found_px)
+    assert np.isnan(anywhere).all()
+    np.testing.assert_allclose(state.last.velocity[[0, 1, 2]], [0.4 / 0.05, 0.0, 0.0], atol=0.2)
+    np.testing.assert_allclose(state.last.velocity[[3, 4, 5]], [0.0, 0.0, 0.01 / 0.05], atol=0.02)
+    assert (share, twice) == (MIN_INLIER_RATIO, 2 * MIN_INLIER_RATIO)

@@ -49,6 +49,13 @@ def test_a_third_of_outliers_does_not_move_the_plane():
     assert 0.6 < surface.inlier_ratio < 0.75
 
 
+def test_noise_averages_out():
+    road = Road()
+    depth = road.depth_m() * np.random.default_rng(2).normal(1, 0.01, (480, 640)).astype(np.float32)
+    surface = fit(road, depth, road.tags() == ROAD)
+    assert np.degrees(g.angle_between(surface.plane.n, road.plane.n)) < 0.05
+
+
 def test_depth_of_the_published_plane_of_course_frame_0_gives_the_plane_back(data_dir):
     """To 0.01 degrees and 1 mm, with a third of outliers (the course counts pixels from 1)."""
     expected = json.loads((data_dir / "course_frames" / "expected.json").read_text())["0"]
@@ -68,6 +75,13 @@ def test_depth_of_the_published_plane_of_course_frame_0_gives_the_plane_back(dat
     surface = fit_surface(CFG, frame, road, np.random.default_rng(0))
     assert np.degrees(g.angle_between(surface.plane.n, plane.n)) < 0.01
     assert surface.camera_height_m == pytest.approx(plane.offset_m, abs=1e-3)
+
+
+def test_the_assumed_surface_has_the_mountings_pitch():
+    road = Road(pitch=0.05)
+    surface = assumed_surface(road.camera, road.ego_T_camera)
+    assert (surface.source, surface.inlier_ratio) == ("assumed", None)
+    assert surface.pitch == pytest.approx(0.05)
 
 
 def test_a_plane_above_the_camera_is_not_a_road():
@@ -134,6 +148,15 @@ def test_points_closer_together_than_inlier_m_give_no_upright_plane(seed):
     found = fit(road, depth, None, seed=seed)
     assert isinstance(found, Absent)
     assert re.fullmatch(r"the points' plane is tilted by [5-9]\d degrees, expected at most 30", found.reason.text)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-42])
+def test_points_all_in_one_place_give_no_plane(scale):
+    """For example those of a stereo pair without a baseline: any plane fits, and an upright one has no height."""
+    road = Road(width=320, height=240)
+    found = fit(road, (road.depth_m() * scale).astype(np.float32), None)
+    assert isinstance(found, Absent)
+    assert "tilted by 90 degrees" in found.reason.text
 
 
 FLAT = Hill(width=320, height=240, grade=0.0)

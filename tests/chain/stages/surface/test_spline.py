@@ -1,6 +1,7 @@
 """The height field: known hills, noise, outliers, gaps in the data, and the drivable pixels."""
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
@@ -95,6 +96,17 @@ def test_beyond_the_data_it_continues_straight():
     assert np.abs(bends).max() < 0.01
 
 
+def test_a_wall_with_road_tags_behind_a_gap_in_the_data_does_not_bend_it():
+    depth_m, mask = HILL.depth_m(), road_of(HILL)
+    depth_m[~(depth_m < 22)] = np.nan
+    depth_m[60:90, 100:220], mask[60:90, 100:220] = np.linspace(40, 55, 120, dtype=np.float32), True
+    surface = fit(HILL, depth_m, mask)
+    x = np.arange(5.0, 23.0)
+    np.testing.assert_allclose(height_at(surface, x, np.zeros_like(x)), HILL.z(x, 0.0), atol=0.02)
+    x = np.arange(30.0, 61.0)
+    assert np.abs(height_at(surface, x, np.zeros_like(x)) - HILL.z(x, 0.0)).max() < 2.0
+
+
 def test_a_road_that_bends_behind_a_gap_is_found_again():
     """Depth is unknown from 12 m to 26 m; behind the gap the road is 0.5 m above a straight continuation."""
     hill = replace(HILL, grade=0.1, wave_m=120.0)
@@ -118,6 +130,25 @@ def test_a_short_stretch_and_a_camera_that_looks_back_give_a_plane():
     back = g.rigid(rotation_from_rpy(0, 0, np.pi), np.zeros(3)) @ HILL.ego_T_camera
     surface = fit_surface(CFG, depth_of(HILL, HILL.depth_m(), back), road_of(HILL), np.random.default_rng(0))
     assert surface.model == "plane"
+
+
+def test_without_segmentation_the_lower_image_gives_a_field_too():
+    surface = fit_surface(CFG, depth_of(HILL, HILL.depth_m()), None, np.random.default_rng(0))
+    assert (surface.source, surface.model) == ("lower_image", "plane")
+    high = replace(HILL, pitch=-0.2)
+    surface = fit_surface(CFG, depth_of(high, high.depth_m()), None, np.random.default_rng(0))
+    assert (surface.source, surface.model) == ("lower_image", "spline")
+
+
+def test_a_very_large_max_depth_costs_neither_time_nor_memory():
+    """The field ends at 200 m, because heights are not looked up beyond."""
+    depth_m, usual = HILL.depth_m(), height_at(fit(HILL), *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
+    started = process_time()
+    surface = fit(HILL, depth_m, cfg=CFG.model_copy(update={"spline_knot_m": 1.0, "max_depth_m": 1e4}))
+    assert process_time() - started < 2.0
+    assert surface.height_grid.z_m.shape == (21, 201)
+    heights = height_at(surface, *np.meshgrid(np.arange(40.0), np.arange(-5.0, 6.0)))
+    np.testing.assert_allclose(heights, usual, atol=0.02)
 
 
 def information(coefficients):
@@ -190,3 +221,10 @@ def test_the_basis_has_scipys_values(knot_m, splines):
     np.put_along_axis(found, first[:, None] + np.arange(DEGREE + 1), values, axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_allclose(values.sum(axis=1), 1.0, atol=1e-12)
+
+
+def test_singular_equations_keep_the_earlier_coefficients():
+    design = spline._design(CFG, np.array([5.0]), np.array([0.0]))
+    no_prior = np.zeros_like(spline._prior(CFG))
+    earlier = np.arange(float(no_prior.shape[1]))
+    np.testing.assert_array_equal(spline._robust_fit(design, np.zeros(1), np.ones(1), no_prior, earlier), earlier)
