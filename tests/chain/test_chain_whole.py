@@ -120,8 +120,7 @@ def assert_alike(last, with_sensor, offset_m):
     near = [item for item in with_sensor.objects.objects if item.kept and (item.distance_m or 99) < 15]
     for item in near:
         (same_one,) = [other for other in last.objects.objects if other.detection == item.detection]
-        within_m = max(0.1 * item.distance_m, same_one.distance_std_m)
-        assert same_one.distance_m == pytest.approx(item.distance_m, abs=within_m)
+        assert same_one.distance_m == pytest.approx(item.distance_m, rel=0.1)
     assert not last.odometry.up_to_scale
 
 

@@ -22,7 +22,7 @@ from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out,
 from roadperc_stream.chain.stages.objects.points import measured_by_points, measured_of_class, usual_heights
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Float, Float32
+from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
 from roadperc_stream.model.frame import Frame, mark
 from roadperc_stream.model.tag_tables import label_lookup
@@ -88,15 +88,19 @@ def _fits(
     measure: Callable[[Region], Measured],
     expected_m: Mapping[int, float | None],
 ) -> list[float]:
-    """The fit of each candidate; among equal fits, the one at a tracked object's expected distance wins."""
+    """The fit of each candidate; among equal fits, the one at a tracked object's expected distance wins.
+
+    If none is at that distance, the nearest to it wins over an uncertain one, which may join two objects.
+    """
     fits = [[region.fit for region in of_one] for of_one in candidates]
     for owner, distance_m in expected_m.items():
         best = max(fits[owner], default=0.0)
         alike = [k for k, fit in enumerate(fits[owner]) if fit > best - FITS_ALIKE]
         if distance_m is None or len(alike) < 2:
             continue
-        off = [_apart(measure(candidates[owner][k]).distance_m, distance_m) for k in alike]
-        if min(off) < AS_EXPECTED:
+        found = [measure(candidates[owner][k]) for k in alike]
+        off = [_apart(measured.distance_m, distance_m) for measured in found]
+        if min(off) < AS_EXPECTED or _doubt(found[0]) > AS_EXPECTED:
             fits[owner][alike[off.index(min(off))]] = best + FITS_ALIKE
     return [fit for of_one in fits for fit in of_one]
 
@@ -110,6 +114,11 @@ def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDAr
         rows = slice(first, first + _ROWS)
         smaller = np.minimum(sizes[rows, None], sizes)
         yield from (shared_areas(boxes[:, rows], boxes) > SAME_PLACE * smaller) & (kind[rows, None] == kind)
+
+
+def _doubt(measured: Measured) -> float:
+    """The standard deviation of a distance as a share of it; infinite if it is unknown."""
+    return measured.std_m / measured.distance_m if measured.std_m and measured.distance_m else inf
 
 
 def _apart(one_m: float | None, other_m: float | None) -> float:
@@ -141,13 +150,9 @@ def filter_detections(
         return Absent(Reason("objects", "no_detections"))
     lookups = [None if frame.table is None else label_lookup(frame.table, d.label) for d in detections]
     chosen = _candidates(cfg, frame, detections, lookups, expected_m)
-    kind, boxes = kinds([d.label for d in detections])[0], corners(d.box_px for d in detections)
-    numbers = np.arange(len(detections))
     return Objects(
         tuple(
-            _filtered(
-                cfg, frame, detection, lookup, candidate, boxes[:, (kind == kind[k]) & (numbers != k)], k in expected_m
-            )
+            _filtered(cfg, frame, detection, lookup, candidate, k in expected_m)
             for k, (detection, lookup, candidate) in enumerate(zip(detections, lookups, chosen, strict=True))
         )
     )
@@ -166,6 +171,8 @@ def _candidates(
     expected_m: Mapping[int, float | None],
 ) -> list[tuple[float, Measured]]:
     """Fit and distance of the region that is each detection's object."""
+    if _has_points(frame) and cfg.distance_pixels == "region":
+        return list(_by_points(cfg, frame, detections, lookups))
     if not divides(frame) or "region" not in (cfg.distance_pixels, cfg.filter):
         return [_NO_REGION] * len(detections)
     boxes = [detection.box_px for detection in detections]
@@ -184,6 +191,24 @@ def _candidates(
         found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
     labels = [detection.label for detection in detections]
     return choose(labels, found, lambda region: regions.of_region(cfg, region, frame.inverse_depth_std), expected_m)
+
+
+def _has_points(frame: Frame) -> bool:
+    """Whether tags say which of a lidar's points are of a class."""
+    return frame.tags is not None and frame.depth_m is not None and not divides(frame)
+
+
+def _by_points(
+    cfg: ObjectsConfig, frame: Frame, detections: tuple[Detection, ...], lookups: list[Image | None]
+) -> Iterator[tuple[float, Measured]]:
+    """The distance of each detection by a lidar's points of its class, without a region's fit."""
+    kind, boxes = kinds([d.label for d in detections])[0], corners(d.box_px for d in detections)
+    for k, (detection, lookup) in enumerate(zip(detections, lookups, strict=True)):
+        if lookup is None:
+            yield _NO_REGION
+            continue
+        others = boxes[:, (kind == kind[k]) & (np.arange(len(kind)) != k)]
+        yield 0.0, measured_of_class(cfg, frame, detection, lookup, others)
 
 
 def _usual(
@@ -206,10 +231,8 @@ def _filtered(
     detection: Detection,
     lookup: Image | None,
     candidate: tuple[float, Measured],
-    others: Float,
     expected: bool,
 ) -> Object:
-    """The object of a detection; ``others`` are (4, K) corners of the others of its class."""
     x0, y0, x1, y1 = box = detection.box_px.rounded(frame.camera.width, frame.camera.height)
     if x0 >= x1 or y0 >= y1:
         return Object(detection, kept=lookup is None)  # outside the image
@@ -225,16 +248,13 @@ def _filtered(
     kept = ratio is None or _is_kept(cfg, frame, ratio, fit, expected=expected, beyond=beyond)
     if beyond and cfg.distance_pixels == "region":
         measured = Measured(beyond_range=True)
-    claimed = fit == 0 and divides(frame) and cfg.distance_pixels == "region"  # other detections have its pixels
+    # Other detections have its pixels, or its points.
+    claimed = fit == 0 and (divides(frame) or _has_points(frame)) and cfg.distance_pixels == "region"
     if frame.depth_m is not None and measured == UNKNOWN and of_class is None and cfg.distance_pixels == "region":
         measured = measured_by_points(cfg, frame.camera, frame.depth_m, frame.depth_limit_m, detection)
     elif frame.depth_m is not None and measured == UNKNOWN and not claimed:
         distances = of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m)
-        if cfg.distance_pixels == "region" and of_class is not None and frame.dense_depth_m is None:
-            of_points = np.where(of_class > 0, distances, np.float32(np.nan))
-            measured = measured_of_class(cfg, frame.camera, of_points, detection, others)
-        else:
-            measured = nearest(cfg, _counted(cfg, distances, of_class), frame.inverse_depth_std)
+        measured = nearest(cfg, _counted(cfg, distances, of_class), frame.inverse_depth_std)
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)
 
 

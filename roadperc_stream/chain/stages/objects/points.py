@@ -26,7 +26,8 @@ from roadperc_stream.chain.stages.objects.regions import (
 )
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.model import Box, Detection
+from roadperc_stream.model import Box, Detection, Image
+from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label
 
 _MOST_POINTS: Final = 300
@@ -103,23 +104,24 @@ def measured_by_points(
     return Measured(measured.distance_m, max(measured.std_m or 0.0, _UNSURE * measured.distance_m))
 
 
-def measured_of_class(
-    cfg: ObjectsConfig, camera: Camera, distances_m: Float32, detection: Detection, others: Float
-) -> Measured:
+def measured_of_class(cfg: ObjectsConfig, frame: Frame, detection: Detection, lookup: Image, others: Float) -> Measured:
     """The distance of the object's group of a lidar's points, with a deviation for the other groups.
 
     Gaps in distance separate the groups. A group in the box of a nearer object mostly belongs to that object.
 
     Args:
         cfg: the quantile of the distances.
-        camera: the camera of the box.
-        distances_m: (h, w) distances of the box's pixels, NaN without a point of the class.
-        detection: its box has pixels in the image.
+        frame: with tags and a lidar's depth.
+        detection: its box may be outside the image.
+        lookup: (256,) above 0 at the tags of the class.
         others: (4, K) corners of the other detections of the class.
     """
-    box = detection.box_px
-    x0, y0, _, _ = box.rounded(camera.width, camera.height)
-    rows, columns = np.nonzero(~np.isnan(distances_m))
+    box, camera = detection.box_px, frame.camera
+    x0, y0, x1, y1 = rounded = box.rounded(camera.width, camera.height)
+    if frame.depth_m is None or frame.tags is None or x0 >= x1 or y0 >= y1:
+        return UNKNOWN
+    distances_m = of_box(camera, frame.depth_m, rounded, frame.depth_limit_m)
+    rows, columns = np.nonzero(~np.isnan(distances_m) & (lookup[frame.tags[y0:y1, x0:x1]] > 0))
     if not len(rows):
         return UNKNOWN
     order = np.argsort(distances_m[rows, columns], kind="stable")
@@ -130,23 +132,19 @@ def measured_of_class(
     shares = _own_shares(box, others, columns + x0, rows + y0)
     own: Float = np.add.reduceat(shares, first) / counts
     filled = own * counts * areas(bounds)
-    height = (box.y_max - box.y_min) / camera.fy
-    heights_m = height * sorted_m[first]
-    usual = usual_heights(detection.label, heights_m, hidden=bool((shares < 1).any()))
+    height_per_m = (box.y_max - box.y_min) / camera.fy
+    usual = usual_heights(detection.label, height_per_m * sorted_m[first], hidden=bool((shares < 1).any()))
     weights = own ** np.minimum(counts, _ALIKE_POINTS) * (filled / filled.max()) ** _ALIKE_FILLED * usual
     best = int(np.argmax(weights))
-    if weights[best] <= _EMPTY:
-        return UNKNOWN
     measured = nearest(cfg, sorted_m[first[best] : last[best]])
-    if measured.distance_m is None or measured.std_m is None:
-        return measured
+    if measured.distance_m is None or measured.std_m is None or weights[best] <= _EMPTY:
+        return UNKNOWN
     kind = classes_of_label(detection.label) or ()
-    usual_m = _USUAL_M[kind][0] / height if kind in _USUAL_M else (1 + _UNSURE) * measured.distance_m
+    usual_m = _USUAL_M[kind][0] / height_per_m if kind in _USUAL_M else (1 + _UNSURE) * measured.distance_m
     apart_m = np.append(sorted_m[first], usual_m) - measured.distance_m
-    weights = np.append(weights, _EMPTY / counts[best])
-    others_m = sqrt(float((_likely(weights) * apart_m**2).sum()))
+    shares_of_all = _likely(np.append(weights, _EMPTY / counts[best]))
     part_m = _PART_M.get(kind, max(_PART_M.values())) / sqrt(counts[best])
-    return Measured(measured.distance_m, hypot(measured.std_m, others_m, part_m))
+    return Measured(measured.distance_m, hypot(measured.std_m, sqrt(float(shares_of_all @ apart_m**2)), part_m))
 
 
 def _likely(weights: Float) -> Float:

@@ -7,6 +7,9 @@ from roadperc_stream.chain.stages.objects.points import measured_by_points, meas
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Box, Detection
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
+from roadperc_stream.model.tag_tables import label_lookup
+from tests.scenes import scene_of
 
 CAMERA = Camera("camera", 320, 240, 320.0, 320.0, 159.5, 119.5)
 PERSON = Detection("Pedestrian", Box(150, 102, 166, 136), 1.0)
@@ -53,14 +56,18 @@ WHOLE = (17.0, range(2, 28, 5), range(2, 58, 4))
 """Distance, rows and columns in the box of a lidar's points on the car."""
 
 
-def of_class(*groups, detection=CAR, others=()):
-    """The distance by groups (distance, rows, columns) of points, each 1 % deeper at its far end."""
-    distances = np.full((30, 60), np.nan, np.float32)
+def of_class(*groups, others=()):
+    """The distance by groups (distance, rows, columns) of points in the box, each 1 % deeper at its far end."""
+    distances_m = np.full(CAMERA.size, np.nan, np.float32)
     for distance_m, rows, columns in groups:
         u, v = np.meshgrid(columns, rows)
-        distances[v, u] = distance_m * np.linspace(1.0, 1.01, u.size).reshape(u.shape)
+        distances_m[v + 100, u + 100] = distance_m * np.linspace(1.0, 1.01, u.size).reshape(u.shape)
+    rows, columns = np.indices(CAMERA.size)
+    lengths = np.hypot(np.hypot((columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy), 1.0)
+    tags = np.full(CAMERA.size, TABLE.names.index("vehicle"), np.uint8)
+    frame = scene_of(CAMERA, depth_m=(distances_m / lengths).astype(np.float32), source="lidar", tags=tags)
     corners = np.array(others, float).reshape(-1, 4).T
-    return measured_of_class(ObjectsConfig(), CAMERA, distances, detection, corners)
+    return measured_of_class(ObjectsConfig(), frame, CAR, label_lookup(TABLE, "Car"), corners)
 
 
 def test_points_of_a_nearer_car_in_a_corner_are_left_out():
