@@ -1,6 +1,7 @@
 """roadperc-check: known answers of every statistic, skipped criteria, files for other programs, and errors."""
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -10,11 +11,12 @@ from pathlib import Path
 import pytest
 from junitparser import Error, Failure, JUnitXml, Skipped
 
-from roadperc_stream.cli import check, replay
-from roadperc_stream.eval.criteria import read_criteria
+from roadperc_stream.cli import check, replay, report
+from roadperc_stream.eval.criteria import DEFAULT_CRITERIA, Effect, effects, read_criteria
+from roadperc_stream.eval.results import write_json
 from tests.commands import SCRIPTS
 from tests.eval.dataset.datasets import small_dataset
-from tests.eval.tables import outcome, row, write
+from tests.eval.tables import outcome, row, usage_error, write
 from tests.test_sample import SAMPLE
 
 SCRIPT = Path(__file__).parents[2] / "docs" / "bisect.sh"
@@ -124,6 +126,43 @@ def test_files_for_other_programs(capsys, table, tmp_path):
     assert "| lane\\_left\\_error\\_m max | failed | out | 0.4 m, at most 0.2 m; coverage 80.0 % | 5 |" in markdown
 
 
+def test_a_second_summary_is_appended_and_the_text_of_others_stays(capsys, table, tmp_path):
+    (tmp_path / "criteria.toml").write_text(FAILING)
+    (tmp_path / "a.md").write_text("# Nightly\n")
+    outcome(check.main, capsys, table, "--criteria", tmp_path / "criteria.toml", "--markdown", tmp_path / "a.md")
+    outcome(report.main, capsys, table, "--markdown", tmp_path / "a.md")
+    markdown = (tmp_path / "a.md").read_text()
+    assert re.findall("^#+ .*", markdown, re.MULTILINE)[:2] == ["# Nightly", "## Check: failed"]
+    assert markdown.count("\n\n## ") == 2
+
+
+def test_missing_files_and_contradicting_options(capsys, table, tmp_path):
+    assert outcome(check.main, capsys, tmp_path / "no.mcap")[0] == 3
+    assert outcome(check.main, capsys, table, "--criteria", tmp_path / "no.toml")[0] == 3
+    assert "--force belongs to --init" in usage_error(check.main, capsys, table, "--force")
+    assert "remove --json" in usage_error(check.main, capsys, table, "--init", "a.toml", "--json", "a.json")
+
+
+@pytest.mark.parametrize("files", [("RUN",), ("limits.toml",), ("out.mcap",), ("a.txt", "a.txt")])
+def test_results_replace_no_input_and_no_other_result(files, capsys, table, tmp_path):
+    before, paths = table.read_bytes(), [str(table if name == "RUN" else tmp_path / name) for name in files]
+    options = [word for pair in zip(("--json", "--junit"), paths, strict=False) for word in pair]
+    code, _, error = outcome(check.main, capsys, table, *options)
+    assert (code, error.startswith(f"error: {paths[0]}: "), table.read_bytes()) == (3, True, before)
+    assert list(tmp_path.iterdir()) == [table]
+
+
+def test_names_in_json_are_unique_and_valid_for_mlflow(tmp_path):
+    write_json(tmp_path / "a.json", {"a+b": math.nan, "a=b": [1, math.inf], "c": {"d:": 2.0}})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a_b": None, "a_b 1": [1, None], "c": {"d_": 2.0}}
+
+
+def test_effects_of_metrics(tmp_path):
+    path = tmp_path / "criteria.toml"
+    path.write_text("[metrics.lane_left_error_m]\nrelevant = 0.02\nlimit = 1\n")
+    assert effects(path) == {"lane_left_error_m": Effect(relevant=0.02, limit=1.0)}
+
+
 def test_a_failed_log_of_a_batch_is_an_error(capsys, tmp_path):
     dataset, junit = small_dataset(tmp_path / "dataset"), tmp_path / "a.xml"
     (tmp_path / "c.toml").write_text('criterion = [{ metric = "lane_left_error_m", statistic = "mean", most = 9 }]')
@@ -167,6 +206,12 @@ def sample(tmp_path_factory):
     folder = tmp_path_factory.mktemp("check")
     assert replay.main([str(SAMPLE), str(folder / "out.mcap"), "--frames", "10", "--quiet"]) == 0
     return folder / "out.mcap"
+
+
+def test_the_default_criteria_pass_on_the_sample(sample, capsys):
+    code, out, _ = outcome(check.main, capsys, sample)
+    assert (code, out.count("\n")) == (0, 2), out
+    assert len(read_criteria(DEFAULT_CRITERIA)) == 13
 
 
 def test_written_criteria_pass_on_their_runs_and_fail_on_worse_ones(sample, capsys, tmp_path):

@@ -12,9 +12,11 @@ import pytest
 from junitparser import JUnitXml
 
 from roadperc_stream.cli.compare import main
+from roadperc_stream.config import load_config
 from roadperc_stream.eval.compare.bootstrap import MANY_LOGS
 from roadperc_stream.eval.criteria import BY_NAME
 from roadperc_stream.model import Reason
+from roadperc_stream.output.tables import table_facts
 from tests.eval.tables import START_NS, outcome, row, write
 
 compare = partial(outcome, main)
@@ -84,6 +86,22 @@ def test_an_unchanged_run_is_identical(reference, capsys):
     assert (code, error) == (0, "")
     assert "within tolerance, 0 differ\n" in text
     assert re.search(r"total_ms +10.00 +15.00 +1.50 +1.50 +1.50\n", text)
+
+
+def test_tolerance_and_ignored_fields(reference, capsys):
+    new = other(reference, lane_left_error_m=LEFT - 0.01)
+    assert compare(capsys, reference, new, "--exact")[0] == 1
+    for option in ("--tolerance=lane_*=0.011", "--ignore=lane_left_error*"):
+        assert compare(capsys, reference, new, "--exact", option)[0] == 0
+
+
+def test_times_are_judged_on_request_only(reference, capsys):
+    slower = other(reference, total_ms=pl.col("total_ms") * 1.2)
+    code, text, error = compare(capsys, reference, slower, "--allow", "total_ms=10%")
+    assert (code, error) == (1, "worse than the base run: total_ms\n")
+    assert "worse, times: total, mean 10 → 12 ms (+2 [+2, +2])" in text
+    for allowed in ("10%", "total_ms=21%"):
+        assert compare(capsys, reference, slower, "--allow", allowed)[0] == 0
 
 
 def test_texts_lists_nan_and_values_that_differ_in_late_digits(reference, capsys):
@@ -191,6 +209,24 @@ def other_log(path, start=0):
     return write(path, rows)
 
 
+def test_runs_that_only_one_folder_has(tmp_path, capsys):
+    ours, theirs = folder(tmp_path / "a", [0.0]), folder(tmp_path / "b", [0.0] * 2)
+    code, text, _ = compare(capsys, ours, theirs)
+    assert code == 0
+    assert f"only in new: part0/log1 (log {1:016x})" in text
+    code, _, error = compare(capsys, theirs, ours)
+    assert (code, error) == (1, "worse than the base run: no run of part0/log1\n")
+
+
+def test_folders_without_anything_in_common(tmp_path, capsys):
+    ours = folder(tmp_path / "a", [0.0, 0.0])
+    for name in ("x", "y"):
+        other_log(tmp_path / "b" / f"{name}.metrics.parquet")
+    code, _, error = compare(capsys, ours, tmp_path / "b")
+    assert code == 3
+    assert "no new run has the log or the name of a base run" in error
+
+
 @pytest.mark.parametrize(
     ("make", "options", "message"),
     [
@@ -232,3 +268,23 @@ def test_a_reference_is_created_and_updated(tmp_path, capsys):
     assert unchanged.stat().st_mtime_ns == before_ns
     code, text, _ = compare(capsys, reference, runs, "--exact", "--update-reference")
     assert (code, " 0 differ" in text, "unchanged, all results are equal" in text) == (0, True, True)
+
+
+def test_a_table_as_reference_is_replaced_and_a_log_is_not(reference, capsys):
+    new = other(reference, **SHIFTED)
+    code, _, error = compare(capsys, reference.with_name("a.mcap"), reference, "--update-reference")
+    assert code == 3
+    assert re.fullmatch(r"error: .*a\.mcap: is a log; with --update-reference pass .*\n", error)
+    assert compare(capsys, reference, new, "--update-reference")[0] == 0
+    assert reference.read_bytes() == new.read_bytes()
+    assert [path for path in reference.parent.iterdir() if path.name.startswith(".")] == []
+
+
+def test_pairs_with_the_same_changed_settings_are_listed_together(tmp_path, capsys):
+    for folder, hold_s in (("a", 0.5), ("b", 2.0)):
+        for name, log_id in (("day", "d" * 16), ("night", "e" * 16), ("rain", "f" * 16)):
+            path = write(tmp_path / folder / f"{name}.metrics.parquet", [row(k, log_id=log_id) for k in range(3)])
+            settings = (f"lanes.hold_s={0.5 if name == 'rain' else hold_s}",)
+            pl.read_parquet(path).write_parquet(path, metadata=table_facts(path, path, load_config(settings=settings)))
+    _, text, _ = compare(capsys, tmp_path / "a", tmp_path / "b")
+    assert "\nsettings that differ in day, night: lanes.hold_s 0.5 → 2.0\n9 frames compared in 3 pairs" in text

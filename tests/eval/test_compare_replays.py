@@ -84,6 +84,22 @@ def test_lanes_that_are_not_held_lose_coverage(runs, capsys):
     assert "frame 10, stamp" in text
 
 
+def test_runs_of_two_logs_need_other_log(runs, capsys):
+    assert "--other-log" in compare(capsys, runs["base"], runs["held"])[2]
+    code, text, error = compare(capsys, runs["base"], runs["held"], "--other-log", "--exact")
+    assert (code, "lane_left_status.measured" in error) == (1, True)
+    assert "lane_left_status: measured → held, in 4 frames" in text
+
+
+def test_message_fields_are_tolerated_and_ignored_like_columns(runs, capsys):
+    ignored = [f"--ignore={name}" for name in ("*_*", "drivable*", "occupancy*", "lanes*")]
+    options = ("--exact", "--allow", "1000%", *ignored, "--tolerance", "surface.*=0.5")
+    code, text, _ = compare(capsys, runs["base"], runs["coarse"], *options)
+    assert code == 0
+    assert f"within tolerance: surface.normal.x (in {FRAMES} frames, by up to 0.0" in text
+    assert " 0 differ\n" in text
+
+
 def test_pictures_on_request_are_compared_by_their_pixels(tmp_path, capsys):
     logs = [tmp_path / f"{name}.mcap" for name in ("one", "same", "other")]
     for path, inlier_m in zip(logs, (0.05, 0.05, 0.5), strict=True):

@@ -10,13 +10,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from roadperc_stream.cli.compare import allowance, tolerance
-from roadperc_stream.eval.compare.bootstrap import _block_means, block_length, mean_interval
+from roadperc_stream.eval.compare.bootstrap import MANY_LOGS, Interval, _block_means, block_length, mean_interval
 from roadperc_stream.eval.compare.comparison import compare_runs
-from roadperc_stream.eval.compare.fields import INCOMPARABLE, distance
+from roadperc_stream.eval.compare.fields import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.compare.metrics import METRICS, LogValues
 from roadperc_stream.eval.compare.pairing import RunPair, logged_runs, pair_runs
 from roadperc_stream.eval.compare.verdicts import tail_findings, worst_place
-from roadperc_stream.eval.options import Rules
+from roadperc_stream.eval.options import Amount, Rules
 from tests.eval.tables import row, run_of, write
 
 NAN = math.nan
@@ -40,6 +40,21 @@ METRIC = {metric.name: metric for metric in METRICS}
 def test_distance(reference, candidate, apart):
     assert distance(reference, candidate) == apart
     assert distance(candidate, reference) == apart
+
+
+def test_runs_together_keep_the_first_difference():
+    first, second = (Difference(run, 3, 7, "x", 1.0, 2.0) for run in "ab")
+    parts = [
+        {"x": Agreement()},
+        {"x": Agreement(1, 2, 0.5, first)},
+        {"x": Agreement(0, 1, 0.75, second), "y": Agreement()},
+    ]
+    assert added(parts) == {"x": Agreement(1, 3, 0.75, first), "y": Agreement()}
+
+
+def test_the_last_matching_amount_applies():
+    rules = Rules(tolerances=(Amount("lane_*", 0.1), Amount("lane_left_*", 0.2)))
+    assert [rules.tolerance(n) for n in ("lane_left_offset_m", "lane_width_m", "step_m")] == [0.2, 0.1, 0.0]
 
 
 def test_allowance_in_the_metrics_unit_or_as_a_ratio():
@@ -81,6 +96,24 @@ def test_interval_of_independent_values_equals_students_t():
     assert interval.low < 2.0 < interval.high
     assert (interval.high - interval.low) / 2 == pytest.approx(expected, rel=0.35)
     assert (interval.high - interval.low) / 2 == pytest.approx(2.756 * blocks.std() / np.sqrt(29), rel=0.35)
+
+
+def test_the_interval_of_one_value_is_infinite():
+    assert mean_interval([np.array([0.25])]) == Interval(-np.inf, np.inf)
+
+
+def test_many_logs_are_the_blocks():
+    """With logs as blocks the scatter between logs widens the interval; with frames it does not."""
+    rng = np.random.default_rng(6)
+    logs = [np.full(50, shift) + 0.01 * rng.normal(size=50) for shift in rng.normal(size=MANY_LOGS)]
+    assert not excludes_zero(mean_interval([log - np.mean(logs) + 0.05 for log in logs]))
+    few = logs[: MANY_LOGS - 1]
+    assert excludes_zero(mean_interval([log - np.mean(few) + 0.05 for log in few]))
+
+
+def test_a_log_of_one_frame_among_others():
+    interval = mean_interval([np.array([1.0]), np.array([2.0, 3.0, 2.5, 3.5])])
+    assert interval.low < 2.4 < interval.high
 
 
 @pytest.mark.parametrize(("frames", "correlation"), [(40, 0.0), (40, 0.8), (200, 0.0), (200, 0.8)])
@@ -224,3 +257,8 @@ def test_times_are_judged_on_request(tmp_path, judged, factor, worse):
 
 def test_classes_of_objects_are_compared(tmp_path):
     assert compared(tmp_path, objects=True).regressions == ["object_distance_error_m.Car"]
+
+
+@pytest.mark.parametrize(("relevant", "worse"), [({}, []), ({"drivable_iou": 1e-5}, ["drivable_iou"])])
+def test_an_irrelevant_change_is_unchanged(tmp_path, relevant, worse):
+    assert compared(tmp_path, Rules(relevant=relevant), drivable_iou=pl.lit(0.97 - 2e-5)).regressions == worse

@@ -52,6 +52,12 @@ def test_the_table_has_a_row_for_each_setting_and_names_unknown_configurations()
     assert table.notes == ("unknown: no configuration in the table: c",)
 
 
+def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
+    one, other = run("a", "seed = 1"), run("b", "seed = 1", version="2")
+    assert not settings_table({"a": one, "b": one}).rows
+    assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
+
+
 UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table"
 
 
@@ -61,6 +67,7 @@ UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its tabl
         (run("b", "seed = 1"), ()),
         (run("b", "seed = 2"), ("", "seed 1 → 2")),
         *((run("b", made_by=digest), (UNKNOWN_CONFIGURATION,)) for digest in ("0" * 64, "")),
+        (run("b", "lanes = "), (UNKNOWN_CONFIGURATION,)),
     ],
 )
 def test_changed_settings_of_two_runs(candidate, expected):

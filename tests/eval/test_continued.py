@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import polars as pl
 import pytest
 
 from roadperc_stream.cli.compare import main as compare_main
@@ -76,6 +77,29 @@ def test_the_commands_print_the_same_as_for_a_single_replay(tmp_path, whole, cap
     assert text == " ".join(expected.split())
 
 
+def test_the_trajectory_of_continued_replays_is_one_file(tmp_path):
+    assert trajectory_main([*continued(tmp_path), "--export-tum", str(tmp_path / "files")]) == 0
+    files = {item.name: len(item.read_text().splitlines()) for item in (tmp_path / "files").iterdir()}
+    assert files == {"out_0+2.est.tum": FRAMES, "out_0+2.true.tum": FRAMES}
+
+
+def test_a_replay_whose_frames_are_all_repeated_has_a_note(tmp_path, capsys):
+    tables = continued(tmp_path, ((0, 4), (0, 8), (6, 20)))
+    for command in (report_main, trajectory_main):
+        assert command(tables) == 0
+        assert capsys.readouterr().out.startswith(
+            "out_0+2: 3 continued replays as one run: out_0 (out_1 repeats all its 4 frames), out_1, out_2\n"
+        )
+
+
+def test_replays_of_any_order_and_folder_are_joined(tmp_path):
+    first, *later = continued(tmp_path / "a")
+    found = find_joined([later[1], first, later[0], *continued(tmp_path / "b")])
+    assert [(run.name, run.frames) for run in found.runs] == [("a/out_0+2", FRAMES), ("b/out_0+2", FRAMES)]
+    assert [[table.path.stem for table in run.tables] for run in found.runs] == [[f"out_{k}.metrics" for k in range(3)]] * 2
+    assert [{table.path.parent.name for table in run.tables} for run in found.runs] == [{"a"}, {"b"}]
+
+
 def test_a_replay_without_its_predecessor_is_evaluated_separately(tmp_path):
     first, _, last = continued(tmp_path)
     found = find_joined([first, last])
@@ -109,3 +133,22 @@ def test_ambiguous_replays_and_those_of_another_version_are_evaluated_separately
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 5), ("out_1", 8), ("again", 8), ("newer", 8)]
     why = ("is not the only replay that continues out_0",) * 2 + ("continues a replay that is not among these tables",)
     assert all(text in note for text, note in zip(why, found.notes, strict=True))
+
+
+def test_replays_with_other_columns_are_evaluated_separately(tmp_path):
+    tables = continued(tmp_path, SPANS[:2])
+    pl.read_parquet(tables[1]).with_columns(extra=1).write_parquet(
+        tables[1], metadata=pl.read_parquet_metadata(tables[1])
+    )
+    found = find_joined(tables)
+    assert [run.name for run in found.runs] == ["out_0", "out_1"]
+    assert "same configuration, version and columns" in found.notes[0]
+    assert report_main(tables) == 0
+
+
+def test_a_replay_repeated_by_another_version_is_not_reported(tmp_path, capsys):
+    first = continued(tmp_path / "old", ((0, 4),))
+    later = continued(tmp_path / "new", ((0, 4), (0, 4)), version="2.0.0")[1]
+    for command in (report_main, trajectory_main):
+        assert command([*first, later]) == 0
+        assert "out_0.metrics.parquet: out_1 repeats all its 4 frames\n" in capsys.readouterr().out

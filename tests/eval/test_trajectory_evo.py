@@ -93,3 +93,12 @@ def test_rpe(drive, unit, alignment):
     pairing = ["--delta", str(DELTAS[unit].size), "--delta_unit", unit, "--all_pairs", *ALIGNED[alignment]]
     agree(found.relative_m, evo("evo_rpe", "tum", folder, *pairing, "-r", "trans_part"))
     agree(found.relative_deg, evo("evo_rpe", "tum", folder, *pairing, "-r", "angle_deg"))
+
+
+def test_kitti_files_give_the_same_errors(drive):
+    folder, run = drive
+    found = evaluate(run, "origin", DELTAS["f"])
+    agree(found.absolute_m, evo("evo_ape", "kitti", folder))
+    every_frame = ["--delta", "1", "--delta_unit", "f", "--all_pairs"]
+    agree(found.relative_m, evo("evo_rpe", "kitti", folder, *every_frame))
+    agree(found.relative_deg, evo("evo_rpe", "kitti", folder, *every_frame, "-r", "angle_deg"))

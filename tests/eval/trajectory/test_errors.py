@@ -33,6 +33,24 @@ def test_a_path_is_aligned_to_itself(alignment):
     assert found.scale == pytest.approx(1.0, abs=1e-14)
 
 
+def test_se3_undoes_a_rotation_and_a_translation():
+    moved = rigid(1) @ TRUE
+    np.testing.assert_allclose(align(moved, TRUE, "se3").poses(moved), TRUE, atol=1e-11)
+    np.testing.assert_allclose(align(moved, TRUE, "origin").poses(moved), TRUE, atol=1e-11)
+    assert rmse_m(moved, TRUE, "none") > 1
+
+
+def test_the_axes_are_rotated_and_not_scaled():
+    turned = align(rigid(2) @ scaled(TRUE, 3.0), TRUE, "sim3").poses(rigid(2) @ scaled(TRUE, 3.0))
+    np.testing.assert_allclose(np.linalg.det(turned[:, :3, :3]), 1.0, atol=1e-12)
+    np.testing.assert_array_equal(turned[:, 3], np.tile([0.0, 0, 0, 1], (len(TRUE), 1)))
+
+
+def test_a_straight_path_is_aligned_without_error():
+    line = straight(20, 0.5)
+    assert max(rmse_m(rigid(3) @ line, line, alignment) for alignment in ("se3", "sim3")) < 1e-12
+
+
 def test_only_sim3_undoes_a_scale():
     grown = scaled(TRUE, 2.5)
     found = align(grown, TRUE, "sim3")
@@ -84,6 +102,12 @@ def test_angles_are_exact_also_near_zero_and_half_a_turn(angle):
     assert off_deg == pytest.approx([np.degrees(angle)], rel=1e-6, abs=1e-15)
 
 
+def test_pairs_of_frames():
+    first, second = pairs(straight(5, 1.0), Delta(3, "frames"))
+    assert (first.tolist(), second.tolist()) == ([0, 1], [3, 4])
+    assert [len(part) for part in pairs(straight(5, 1.0), Delta(5, "frames"))] == [0, 0]
+
+
 @settings(max_examples=200)
 @given(
     steps_m=st.lists(st.one_of(st.just(0.0), st.floats(0.001, 3.0)), min_size=1, max_size=40),
@@ -107,3 +131,14 @@ def test_kittis_errors_of_a_path_that_is_a_tenth_too_long():
     percent, deg = segment_errors(scaled(true, 1.1), true, 10.0, 10)
     np.testing.assert_allclose(percent, [11.0, 11.0, 11.0])
     np.testing.assert_allclose(deg, 0.0)
+
+
+def test_kittis_errors_of_a_path_that_bends():
+    """0.1 degrees per metre are 10 degrees in 100 m; a stretch is 101 m long."""
+    true = straight(250, 1.0)
+    rotvecs = np.outer(np.deg2rad(0.1) * np.arange(250), [0, 0, 1.0])
+    estimated = poses_at(true[:, :3, 3], rotvecs)
+    _, deg = segment_errors(estimated, true, 100.0, 10)
+    assert len(deg) == 15
+    np.testing.assert_allclose(deg, 10.1)
+    assert [len(part) for part in segment_errors(true[:101], true[:101], 100.0, 1)] == [0, 0]
