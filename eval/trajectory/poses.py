@@ -23,6 +23,9 @@ _POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
 TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
 
+_LARGEST: Final = 1e9
+_LEAST_NORM: Final = 1e-3
+
 PoseFormat = Literal["tum", "kitti"]
 
 
@@ -82,7 +85,7 @@ def _pose_matrices(rows: Float) -> Float:
 
 
 def read_poses(run: Run) -> RunPoses:
-    """Read a run's poses; a pose with a value that is null or not finite is missing.
+    """Read a run's poses; a row that is no pose, such as one with a null, is missing.
 
     Raises:
         TableError: the table cannot be read, or no frame has an estimated pose.
@@ -118,8 +121,8 @@ def read_poses(run: Run) -> RunPoses:
 
 
 def known_poses(rows: Float) -> NDArray[np.bool_]:
-    """(N,) whether each of (N, 7) rows is a pose: all its values are finite."""
-    return np.asarray(np.isfinite(rows).all(axis=1))
+    """(N,) whether each of (N, 7) rows is a pose: it has no null or huge number, and its quaternion is not zero."""
+    return np.asarray((np.abs(rows) <= _LARGEST).all(axis=1) & (np.linalg.norm(rows[:, 3:], axis=1) > _LEAST_NORM))
 
 
 def export(folder: Path, run: RunPoses, suffix: PoseFormat) -> None:

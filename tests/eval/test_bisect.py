@@ -11,7 +11,7 @@ from roadperc_stream.cli import bisect, check, replay
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.bisect import bisect as searching
 from roadperc_stream.eval.bisect import excerpts
-from roadperc_stream.eval.bisect.bisect import changed_settings, needed_settings, shortest
+from roadperc_stream.eval.bisect.bisect import changed_settings, needed_settings, shortest, with_settings
 from roadperc_stream.eval.bisect.excerpts import ReplayVerdict
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import NS_PER_S
@@ -144,6 +144,14 @@ def test_the_needed_settings(given, fails, needed):
     changed = changed_settings(base, cfg)
     found = needed_settings(Judging(lambda part, _: fails(part)), base, cfg, changed, (0, 1))
     assert set(found) == {given[place].partition("=")[0] for place in needed}
+
+
+def test_settings_are_those_that_differ():
+    base, cfg = load_config(None, ["lanes.hold_s=1"]), load_config(None, ["seed=2", "surface.classes=road,sidewalk"])
+    keys = changed_settings(base, cfg)
+    assert keys == ("seed", "surface.classes", "lanes.hold_s")
+    assert with_settings(base, cfg, keys) == cfg
+    assert with_settings(base, cfg, ("seed",)) == load_config(None, ["lanes.hold_s=1", "seed=2"])
 
 
 def test_nothing_fails_is_one_line_and_exit_code_1(given, capsys, tmp_path):

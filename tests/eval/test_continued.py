@@ -96,7 +96,9 @@ def test_replays_of_any_order_and_folder_are_joined(tmp_path):
     first, *later = continued(tmp_path / "a")
     found = find_joined([later[1], first, later[0], *continued(tmp_path / "b")])
     assert [(run.name, run.frames) for run in found.runs] == [("a/out_0+2", FRAMES), ("b/out_0+2", FRAMES)]
-    assert [[table.path.stem for table in run.tables] for run in found.runs] == [[f"out_{k}.metrics" for k in range(3)]] * 2
+    assert [[table.path.stem for table in run.tables] for run in found.runs] == [
+        [f"out_{k}.metrics" for k in range(3)]
+    ] * 2
     assert [{table.path.parent.name for table in run.tables} for run in found.runs] == [{"a"}, {"b"}]
 
 

@@ -221,6 +221,12 @@ def test_the_position_error_is_drawn_if_there_is_truth(tmp_path, with_truth):
     assert ("Position error over distance" in page.text) == with_truth
 
 
+def test_poses_without_orientation_are_not_drawn(tmp_path):
+    still = {f"odom_{axis}_m": 0.0 for axis in "xyz"} | {f"odom_q{axis}": 0.0 for axis in "xyzw"}
+    page, _ = report(tmp_path, write(tmp_path / "a.metrics.parquet", [row(k, **still) for k in range(3)]))
+    assert "Trajectory" not in page.text
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.cli.lanes import main
-from roadperc_stream.eval.lanes.lane_files import LaneFrame, read_frames, to_line
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.eval.lanes.lane_files import LaneFrame, default_rows, read_frames, to_line
 from roadperc_stream.eval.lanes.lanes import score_frame
 from roadperc_stream.eval.lanes.run_lanes import open_lanes
 from roadperc_stream.model import Boundary, Lanes
@@ -98,6 +99,41 @@ def test_frames_of_a_looped_log_have_the_times_of_their_segment(tmp_path):
     assert found == list(zip(STAMPS_NS * 2, (1, 1, 1, 0, 1, 1), times, strict=True))
 
 
+def test_frames_that_only_the_table_has_are_in_order_and_without_a_table_run_time_is_zero(tmp_path):
+    log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[1], upright(LEFT_PX))])
+    assert [(f.stamp_ns, f.run_time_ms) for f in open_lanes(log).frames()] == [(STAMPS_NS[1], 0.0)]
+    tables.write(sidecar_path(log, "metrics"), [tables.row(k) for k in range(3)])
+    assert [(f.stamp_ns, len(f.lines_px)) for f in open_lanes(log).frames()] == list(
+        zip(STAMPS_NS, (0, 1, 0), strict=True)
+    )
+
+
+def test_rows_are_the_same_ratio_of_every_height():
+    ends = {height: (default_rows(height)[0], default_rows(height)[-1]) for height in (720, 270, 960)}
+    assert ends == {720: (160, 710), 270: (60, 260), 960: (220, 950)}
+
+
+def test_with_truth_only_its_frames_and_rows_are_written(drive, tmp_path, capsys):
+    line = {"raw_file": f"any/{STAMPS_NS[1]}.jpg", "lanes": [[300, -2]], "h_samples": [500, 719.5]}
+    path = truth_file(tmp_path, json.dumps(line))
+    lanes(capsys, drive, "--truth", path, "--tusimple", tmp_path / "out.json")
+    (written,) = map(json.loads, (tmp_path / "out.json").read_text().splitlines())
+    assert written["raw_file"] == line["raw_file"]
+    assert written["h_samples"] == [500, 719.5]
+    assert written["lanes"] == [[300, -2], [900, -2]]
+
+
+def test_the_lanes_of_a_replay_can_be_exported_and_scored(tmp_path, capsys):
+    log, own = tmp_path / "sample.mcap", tmp_path / "own.json"
+    assert replay_main([str(SAMPLE), str(log), "--quiet", "--frames", "2"]) == 0
+    assert lanes(capsys, log, "--tusimple", own)[0] == 0
+    frames = read_frames(own)
+    assert len(frames) == 2
+    assert all(frame.run_time_ms > 0 and len(frame.lanes) == 2 for frame in frames)
+    _, text, _ = lanes(capsys, log, "--truth", own)
+    assert cells(text, "lane points") == ["100.0", "1.0000", "0.0000", "0.0000"]
+
+
 def test_written_lanes_score_perfectly_against_themselves(drive, tmp_path, capsys):
     own, again = tmp_path / "own.json", tmp_path / "again.json"
     lanes(capsys, drive, "--tusimple", own)
@@ -163,6 +199,13 @@ def test_lanes_are_scaled_to_size(drive, tmp_path, capsys):
     np.testing.assert_allclose(half.lanes[0], 149.75, atol=0.01)  # pixel centres: (300 + 1/2) / 2 - 1/2
 
 
+def test_an_image_too_small_for_any_row_gives_lines_without_points(drive, tmp_path, capsys):
+    code, _, error = lanes(capsys, drive, "--tusimple", tmp_path / "small.json", "--size", "16x9")
+    assert (code, error) == (0, "")
+    lines = [json.loads(line) for line in (tmp_path / "small.json").read_text().splitlines()]
+    assert [(line["lanes"], line["h_samples"]) for line in lines] == [([], [])] * 3
+
+
 BAD = {
     "nonsense": "Invalid JSON",
     '{"raw_file": "a/1", "h_samples": [1]}': "lanes: missing",
@@ -198,6 +241,25 @@ def test_logs_without_lanes_or_camera_and_logs_as_target_are_errors(tmp_path, ca
     code, _, error = lanes(capsys, log, "--tusimple", tmp_path / target)
     assert (code, said in error) == (1, True)
     assert log.read_bytes() == before
+
+
+def test_an_empty_truth_and_a_truth_as_target_are_errors(drive, tmp_path, capsys):
+    code, _, error = lanes(capsys, drive, "--truth", truth_file(tmp_path, ""))
+    assert (code, "no lines" in error) == (1, True)
+    path = truth_file(tmp_path, truth_line(STAMPS_NS[0], LEFT_PX))
+    before = path.read_bytes()
+    code, _, error = lanes(capsys, drive, "--truth", path, "--tusimple", path)
+    assert (code, "is the file with the true lanes" in error) == (1, True)
+    assert path.read_bytes() == before
+    assert lanes(capsys, drive, "--truth", tmp_path / "none.json")[0] == 1
+
+
+def test_a_failed_export_leaves_no_file(tmp_path, capsys):
+    broken = replace(seen(STAMPS_NS[1]), data=b"\xff\xff")
+    log = run_log(tmp_path / "a.mcap", [seen(STAMPS_NS[0], upright(LEFT_PX)), broken])
+    code, _, error = lanes(capsys, log, "--tusimple", tmp_path / "out.json")
+    assert (code, error.startswith("error: "), "roadperc.Lanes" in error) == (1, True, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
 columns = st.lists(st.one_of(st.just(np.nan), st.integers(0, 128000).map(lambda x: x / 100)), min_size=3, max_size=3)

@@ -13,6 +13,7 @@ from polars.testing import assert_frame_equal
 
 from roadperc_stream.cli.sweep import main
 from roadperc_stream.config import load_config
+from roadperc_stream.eval.runs import find_runs
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.schemas.columns import TIME_COLUMNS
 from roadperc_stream.system.time import TimeRange
@@ -59,6 +60,27 @@ def test_rows_equal_those_of_replays_with_the_same_settings(tmp_path):
     assert swept["surface_angle_error_deg"].n_unique() > 3
 
 
+def test_settings_are_columns_of_their_types(source, tmp_path):
+    options = ("lanes.hold_s=1,2", "surface.hypotheses=8", "lanes.use_odometry=false", "stereo.disparities=64,auto")
+    swept = sweep(source, tmp_path / "out", *(f"--vary={option}" for option in options))
+    assert swept.height == 4 * 4
+    columns = swept.select("lanes.hold_s", "surface.hypotheses", "lanes.use_odometry", "stereo.disparities")
+    assert columns.dtypes == [pl.Float64, pl.Int64, pl.Boolean, pl.String]
+    assert columns.unique().height == 4
+    assert columns.unique("stereo.disparities")["stereo.disparities"].sort().to_list() == ["64", "auto"]
+
+
+def test_a_table_has_its_configuration_and_the_report_reads_it(source, tmp_path):
+    sweep(source, tmp_path / "out", *LANES)
+    runs = find_runs([str(tmp_path / "out")])
+    replay(source, tmp_path / "one.mcap", load_config(None, ("lanes.process_noise=1",)))
+    (one,) = find_runs([str(tmp_path / "one.mcap")])
+    assert [run.name for run in runs] == ["0000/in", "0001/in"]
+    assert (runs[1].config_digest, runs[1].version) == (one.config_digest, one.version)
+    assert load_config(tmp_path / "out" / "0001" / "roadperc.toml").lanes.process_noise == 1.0
+    assert runs[0].frames == 4
+
+
 def test_two_processes_give_the_same_tables_as_one(source, tmp_path, capsys):
     other = tmp_path / "b" / "in.mcap"
     other.parent.mkdir()
@@ -81,6 +103,7 @@ def test_best_settings_are_printed_beside_the_reference(tmp_path, capsys):
     assert angle[-1] == "reference"
     assert angle[4] == angle[6]
     assert any(line.startswith("no difference: ") for line in lines)
+    assert max(len(line) for line in lines[1:]) <= 80
 
 
 @pytest.mark.parametrize(
@@ -130,6 +153,14 @@ def test_an_earlier_sweep_is_replaced_only_with_force_and_success(source, tmp_pa
     assert_frame_equal(pl.scan_parquet(f"{out}/**/*.parquet").collect(), before)
     assert sweep(source, out, *LANES, "--force").height == 2 * 4
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.mcap", "in.mcap", "out"]
+
+
+def test_other_files_are_never_replaced(source, tmp_path, capsys):
+    err = failed(capsys, source, "--out", tmp_path, *LANES, "--force")
+    assert "the folder holds other files" in err
+    err = failed(capsys, source, "--out", source, *LANES, "--force")
+    assert "is a file" in err
+    assert source.is_file()
 
 
 @pytest.fixture(scope="module")

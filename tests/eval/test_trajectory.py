@@ -51,6 +51,22 @@ def test_exports_of_runs_with_and_without_truth(tmp_path, shifted, capsys):
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["blind.est.tum"]
 
 
+def test_runs_of_equal_names_are_exported_into_their_folders(tmp_path, capsys):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        write_run(tmp_path / folder / "drive.metrics.parquet", noisy(TRUE, 1), TRUE)
+    code, _, _ = trajectory(capsys, tmp_path / "a", tmp_path / "b", "--export-kitti", tmp_path / "paths")
+    assert code == 0
+    found = sorted(p.relative_to(tmp_path / "paths").as_posix() for p in (tmp_path / "paths").rglob("*.kitti"))
+    assert found == [f"{folder}/drive.{kind}.kitti" for folder in "ab" for kind in ("est", "true")]
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(shifted, capsys):
+    code, _, err = trajectory(capsys, shifted, "--export-tum", shifted)
+    assert code == 1
+    assert err == f"error: {shifted}/drive.est.tum: File exists\n"
+
+
 def test_without_truth_and_export_the_error_is_one_line(tmp_path, capsys):
     code, text, err = trajectory(capsys, write_run(tmp_path / "blind.metrics.parquet", TRUE))
     assert (code, text) == (1, "")

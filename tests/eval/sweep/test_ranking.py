@@ -5,7 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.cli.sweep import varied
-from roadperc_stream.eval.sweep.combinations import combinations
+from roadperc_stream.config import load_config
+from roadperc_stream.errors import TableError
+from roadperc_stream.eval.sweep.combinations import combinations, reference_of
 from roadperc_stream.eval.sweep.ranking import METRICS, SettingScore, best, effect, scores
 from roadperc_stream.eval.sweep.sweep import best_settings, effects, without_effect
 from roadperc_stream.output.tables import TableWriter
@@ -48,6 +50,18 @@ def test_scores_are_medians_of_the_absolute_error_with_coverage(tmp_path):
     assert found == [SettingScore(0.2, 1.0), SettingScore(0.2, pytest.approx(2 / 3)), SettingScore(None, 0.0)]
 
 
+def test_the_score_of_a_share_is_its_mean(tmp_path):
+    rows = [[{"drivable_iou": share} for share in shares] for shares in ((1.0, 1.0, 0.4), (1.0, 1.0, 1.0), (0.9,))]
+    assert [score.value for score in scores(dataset(tmp_path, rows), GATES, OVERLAP)] == pytest.approx([0.8, 1.0, 0.9])
+
+
+def test_a_table_that_cannot_be_read_is_an_error(tmp_path):
+    files = dataset(tmp_path, [errors(0.1)] * 3)
+    files[0].write_bytes(b"no table")
+    with pytest.raises(TableError, match="cannot be read"):
+        scores(files, GATES, ERROR)
+
+
 def test_jitter_does_not_cross_logs_or_lane_changes(tmp_path):
     """The second differences of a parabola are equal, with deviation 0; those of a kink are 0 and 1."""
     rows = [
@@ -87,6 +101,17 @@ def test_measured_and_tracked_are_shares_of_the_status(tmp_path):
 )
 def test_the_best_setting(metric, found, expected):
     assert best(metric, [SettingScore(*score) for score in found], GATES, GATES[2]) == expected
+
+
+def test_of_equal_settings_the_one_with_the_fewest_changes_is_best():
+    some = made("lanes.gate=1,2", "lanes.hold_s=1,2")
+    found = [SettingScore(0.2, 1.0), SettingScore(0.1, 1.0), SettingScore(0.2, 1.0), SettingScore(0.1, 1.0)]
+    assert best(ERROR, found, some, some[2]) == (3, None)
+
+
+def test_the_reference_is_the_configured_setting_or_the_first():
+    assert reference_of(made("lanes.hold_s=2,0.5"), load_config()).number == 1
+    assert reference_of(GATES, load_config()).number == 0
 
 
 @given(

@@ -75,6 +75,14 @@ def test_rows_equal_those_of_a_replay_of_the_degraded_log(swept):
     assert not list(swept.glob("out/**/*.mcap"))
 
 
+def test_another_folder_is_no_baseline(swept, capsys):
+    assert sweep(swept, "new", "--baseline", str(swept)) == 1
+    assert f"{swept}: degrade None, expected a sweep with" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([str(swept / "in.mcap"), "--vary", "seed=1,2", "--baseline", str(swept / "base")])
+    assert "--baseline needs --degrade" in capsys.readouterr().err
+
+
 def test_json_has_scores_and_rates_and_curves_are_svg(swept):
     values = json.loads((swept / "out.json").read_text())
     rates = values["robustness"]["lane left measured"]

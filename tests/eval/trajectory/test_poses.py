@@ -1,10 +1,12 @@
 """The poses of a table, and the exported lines read by independent code."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
+from roadperc_stream.errors import TableError
 from roadperc_stream.eval.trajectory.poses import kitti_lines, read_poses, tum_lines
-from tests.eval.tables import START_NS, STEP_NS, run_of
+from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 from tests.eval.trajectory.paths import columns, helix, noisy, rigid, write_run
 
 TRUE = rigid(1) @ helix(6)
@@ -40,6 +42,38 @@ def test_a_frame_without_either_pose_is_left_out_and_counted(tmp_path):
     np.testing.assert_allclose(found.true, TRUE[[0, 4, 5]], atol=1e-14)
     np.testing.assert_allclose(found.estimated, ESTIMATED[[0, 4, 5]], atol=1e-14)
     assert found.stamps_ns[1] - found.stamps_ns[0] == 4 * STEP_NS
+
+
+ZEROS = {f"true_{name}": [0.0] + [0.5] * 5 for name in ("qx", "qy", "qz", "qw")}
+BEYOND = {"true_x_m": 1e90, "true_qy": -1e90, "true_qw": np.inf}
+
+
+@pytest.mark.parametrize(
+    "holes", [ZEROS, *({name: with_hole(columns("true", TRUE)[name], 2, value)} for name, value in BEYOND.items())]
+)
+def test_zero_quaternions_and_values_out_of_range_are_not_poses(tmp_path, holes):
+    found = read(write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE, **holes))
+    assert (found.true_frames, len(found.true)) == (5, 5)
+
+
+@pytest.mark.parametrize("true", [{}, {"true_x_m": [None] * 6}])
+def test_without_truth_all_estimates_are_read(tmp_path, true):
+    found = read(write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE if true else None, **true))
+    assert found.true is None
+    assert (len(found.estimated), found.true_frames, found.coverage) == (6, 0, 1.0)
+
+
+@pytest.mark.parametrize("rows", [[], [row(0), row(1)]])
+def test_a_run_without_odometry_is_an_error(tmp_path, rows):
+    path = write(tmp_path / "drive.metrics.parquet", rows)
+    with pytest.raises(TableError, match=r"drive\.metrics\.parquet: no frame has an estimated pose"):
+        read(path)
+
+
+def test_a_column_of_another_type_is_an_error(tmp_path):
+    path = write_run(tmp_path / "drive.metrics.parquet", ESTIMATED, TRUE, true_x_m=["far"] * 6)
+    with pytest.raises(TableError, match=r"drive\.metrics\.parquet: "):
+        read(path)
 
 
 def test_steps_without_scale_have_a_turn_but_no_length(tmp_path):
