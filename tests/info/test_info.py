@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from roadperc_stream.cli.info import main
 from roadperc_stream.cli.replay import main as replay_main
@@ -88,6 +89,26 @@ def test_control_characters_in_names_are_escaped(tmp_path, capsys):
     code, out, _ = info(capsys, write(tmp_path / "a.mcap", [1, 2], topic="/straße/\x1b[31m\n車"))
     assert (code, "\x1b" in out) == (0, False)
     assert r"/straße/\x1b[31m\n車  " in out
+
+
+def test_long_names_are_not_cut_in_80_columns(tmp_path, capsys):
+    topic = "/carla/ego_vehicle/semantic_segmentation_front/camera_info"
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        writer.write(Message(Channel(topic, "cdr", "vision_msgs/msg/Detection2DArray", "ros2msg", b""), 1, 1, 1, b"?"))
+    _, out, _ = info(capsys, tmp_path / "a.mcap")
+    assert "  vision_msgs/msg/Detection2DArray\n" in out
+    assert f"\n{topic} " in out
+
+
+def test_many_channels_are_listed(tmp_path, capsys):
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for k in range(400):
+            writer.add_message(writer.register_channel(f"/c{k}", "raw", 0), k, b"", k)
+        writer.finish()
+    code, out, _ = info(capsys, tmp_path / "a.mcap")
+    assert (code, "400 messages on 400 channels" in out, "/c399" in out) == (0, True, True)
 
 
 @pytest.fixture(scope="module")
@@ -313,3 +334,10 @@ def test_any_cut_and_any_wrong_byte_gives_one_line(source, tmp_path, capsys):
             path.write_bytes(content)
             code, _, error = info(capsys, path)
             assert (code, error.count("\n")) == (1, 1), at
+
+
+def test_a_channel_without_a_schema_is_reported(tmp_path, capsys):
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        writer.write(Message(Channel("/camera/front/image", "x"), 1, 1, 1, b"?"))
+    code, out, _ = info(capsys, tmp_path / "a.mcap")
+    assert (code, "found no schema (x), expected" in " ".join(out.split())) == (0, True)

@@ -37,6 +37,13 @@ def test_info_prints_how_files_follow_each_other(tmp_path, capsys):
     assert "together 54 messages on 6 topics over 0.55 s" in joined
 
 
+def test_json_and_a_single_log_print_nothing_about_joining(tmp_path, capsys):
+    path = str(logs.write(tmp_path / "a.mcap", logs.items(2)))
+    assert main([path]) == 0
+    assert main(["--json", path, path]) == 0
+    assert "files of one" not in capsys.readouterr().out
+
+
 CFG = load_config(None, [f"{stage}.enabled=false" for stage in ("odometry", "lanes", "objects", "occupancy")])
 
 

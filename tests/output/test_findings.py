@@ -11,10 +11,12 @@ from roadperc_stream.cli import check, info, replay, report
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import quaternion, rotation_from_rpy
 from roadperc_stream.metrics.evidence import road_depth, rough_ratio, searched_depths
+from roadperc_stream.model import Reason
 from roadperc_stream.model.finding import Evidence, Finding, decoded_findings, encoded_findings
 from roadperc_stream.output import encoding
 from roadperc_stream.output.findings import Contradictions
 from roadperc_stream.output.pose_evidence import PoseEvidence
+from roadperc_stream.output.spread import Spread
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.tools.readers.depth_files import carla_metres
 from tests import logs, replaying
@@ -66,6 +68,13 @@ def test_a_wrong_input_is_a_finding(tmp_path, codes):
     source = logs.write(tmp_path / "in.mcap", items(**WRONG[codes]))
     found = replaying.replay(source, tmp_path / "out.mcap", CFG).findings
     assert {finding.code for finding in found} == set(codes.split())
+
+
+def test_both_heights_are_named(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", items(**WRONG["camera_height"]))
+    (found,) = replaying.replay(source, tmp_path / "out.mcap", CFG).findings
+    assert "1.68 m" in found.text
+    assert "1.4 m" in found.text
 
 
 @pytest.mark.parametrize("roles", [logs.ALL, WITHOUT_TRANSFORM, ("calibration", "image", "segmentation")])
@@ -122,6 +131,12 @@ def test_a_baseline_of_another_unit_leaves_no_road_in_the_searched_disparities(b
     assert {found.code for found in counter.findings()} == ({"road_depth"} if is_found else set())
 
 
+def test_a_lower_image_without_depth_is_a_finding(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", items(depth=of_depth(np.full_like(DEPTH_M, np.nan))))
+    (found,) = replaying.replay(source, tmp_path / "out.mcap", CFG).findings
+    assert found.code == "road_depth"
+
+
 def test_depth_in_the_wrong_byte_order_is_rough_and_depth_with_noise_is_not():
     noisy_m = DEPTH_M * np.random.default_rng(1).normal(1, 0.05, DEPTH_M.shape).astype(np.float32)
     swapped_m = (np.nan_to_num(DEPTH_M * 1000).clip(0, 65535).astype(np.uint16).byteswap() / 1000).astype(np.float32)
@@ -137,6 +152,25 @@ def test_heights_that_scatter_and_few_widths_are_no_finding():
         lane = dict.fromkeys(("lane_left_status", "lane_right_status"), "measured") if frame < 2 else {}
         counter.add(row(frame, **measured, **lane, lane_width_m=7.0), Evidence(mounting_m=1.4))
     assert counter.findings() == ()
+
+
+@pytest.mark.parametrize(
+    ("height_m", "rejected_m", "is_found"), [(1.4, 9.7, False), (7.0, 16.9, True), (0.8, 1.9, True)]
+)
+def test_rejected_lanes_count_if_their_width_fits_a_wrong_scale(height_m, rejected_m, is_found):
+    counter = Contradictions()
+    for frame in range(5):
+        reasons = (Reason("lanes", "lane_width", ("left", rejected_m, 2.0, 7.0)),)
+        counter.add(row(frame, camera_height_m=height_m, surface_source="depth", reasons=reasons), Evidence())
+    assert (counter.findings() != ()) == is_found
+
+
+def test_values_of_a_long_replay_are_bounded_and_even():
+    kept = Spread[int]()
+    for value in range(100_000):
+        kept.add(value)
+    assert len(kept.values) <= 512
+    assert len({later - earlier for earlier, later in zip(kept.values, kept.values[1:], strict=False)}) == 1
 
 
 def drive(frames=200, late=0, scale=1.0, side=1.0, noise_m=0.0, speed_mps=8.0):
@@ -180,6 +214,12 @@ def codes_of(rows):
 )
 def test_odometry_that_contradicts_the_poses_is_a_finding(changes, code):
     assert set(codes_of(drive(**changes))) == {code}
+
+
+def test_the_delay_is_named_in_seconds():
+    text = codes_of(drive(late=3))["pose_delay"]
+    assert "0.15" in text
+    assert "after" in text
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.model import Reason
-from roadperc_stream.output.reason_counts import ReasonCount, grouped, merged, of_frame, throughout
+from roadperc_stream.output.reason_counts import ReasonCount, grouped, merged, of_frame, ranked, throughout
 from tests import logs
 
 FILLED = ("image", "calibration", "segmentation")
@@ -20,6 +20,18 @@ def test_reasons_that_differ_in_numbers_are_one_kind():
     assert str(count) == f"{tilted(-12.0)} (numbers vary)"
     (count,) = merged([of_frame([SIZE]), of_frame([SIZE])]).values()
     assert (count, str(count)) == (ReasonCount(SIZE, 2), str(SIZE))
+
+
+def test_a_varying_reason_stays_varying():
+    first, second = of_frame([tilted(1.0)]), of_frame([tilted(2.0)])
+    assert next(iter(merged([first, second, first]).values())) == ReasonCount(tilted(1.0), 3, varies=True)
+    assert merged([merged([first, second, first]), first]) == merged([first, merged([first, second, first])])
+
+
+def test_frequent_reasons_come_first_and_inputs_before_stages():
+    drivable = Reason("drivable", "no_depth_no_segmentation")
+    whole = merged([of_frame([NO_TAGS, SIZE, drivable]), of_frame([NO_TAGS])])
+    assert [count.reason for count in ranked(whole).values()] == [NO_TAGS, SIZE, drivable]
 
 
 def test_missing_topics_and_disabled_stages_are_not_reported():
@@ -48,6 +60,10 @@ def test_unusable_messages_of_some_frames_are_reported():
     assert throughout(merged([of_frame([NO_TAGS]), {}]), 2, FILLED) == ()
 
 
+def test_a_missing_input_with_a_topic_is_reported():
+    assert throughout(of_frame([NO_TAGS]), 1, FILLED) == (f"in the only frame: {NO_TAGS}",)
+
+
 def test_consequences_of_a_reason_are_not_reported():
     why = Reason("surface", "plane_without_points")
     drivable = Reason("drivable", "no_surface", cause=why)
@@ -59,6 +75,12 @@ def test_consequences_of_a_reason_are_not_reported():
     assert throughout(of_frame([why, *later]), 1, FILLED) == (f"in the only frame: {why}",)
 
 
+def test_only_six_reasons_are_listed():
+    notes = throughout(of_frame(Reason("lidar", "other", (letter,)) for letter in "abcdefgh"), 1, FILLED)
+    assert [note.partition(": ")[2] for note in notes[:6]] == [f"lidar: {letter}" for letter in "abcdef"]
+    assert notes[6:] == ("2 more reasons, which roadperc-report lists",)
+
+
 def test_the_command_prints_reasons_of_all_frames(tmp_path, capsys):
     """The size of the depth images differs from the calibration."""
     small = logs.items(3, road=logs.Road(width=64, height=48), roles=("depth",))
@@ -67,3 +89,18 @@ def test_the_command_prints_reasons_of_all_frames(tmp_path, capsys):
     notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: in all")]
     assert notes[0] == "note: in all 3 frames: depth: 64x48 pixels, its calibration says 320x240"
     assert not [note for note in notes if "right image" in note]
+
+
+def test_the_command_prints_the_number_of_unusable_images(tmp_path, capsys):
+    """The last image is smaller than the others."""
+    small, items = logs.items(3, road=logs.Road(width=64, height=48), roles=("image",)), logs.items(3)
+    source = logs.write(tmp_path / "in.mcap", [small[-1] if i == items[-4] else i for i in items])
+    assert items[-4].role == "image"
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 0
+    assert "note: in 1 of 3 frames: image: 64x48 pixels, its calibration says 320x240\n" in capsys.readouterr().out
+
+
+def test_a_replay_without_missing_inputs_prints_no_reasons(tmp_path, capsys):
+    source = logs.write(tmp_path / "in.mcap", logs.items(2))
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 0
+    assert "frames:" not in capsys.readouterr().out

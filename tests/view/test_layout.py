@@ -12,7 +12,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from roadperc_stream import log
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import ChannelError
+from roadperc_stream.errors import ChannelError, TargetError
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.schemas import roadperc_pb2
 from roadperc_stream.schemas.columns import TIME_COLUMNS
@@ -258,3 +258,15 @@ def test_a_failed_layout_names_the_log_and_writes_nothing(tmp_path):
     with pytest.raises(ChannelError, match=r"in\.mcap: --topic image=/none: no such topic"):
         write_layout(tmp_path / "layout.json", source, {"image": "/none"}, force=True)
     assert list(tmp_path.iterdir()) == [source]
+
+
+def test_an_existing_layout_is_replaced_only_with_force(tmp_path):
+    path = tmp_path / "layout.json"
+    write_layout(path, force=False)
+    assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)
+    path.write_text("mine")
+    with pytest.raises(TargetError, match="exists; pass --force"):
+        write_layout(path, force=False)
+    assert path.read_text() == "mine"
+    write_layout(path, force=True)
+    assert path.read_text("utf-8") == layout_of(OF_A_LIVE_REPLAY)

@@ -10,6 +10,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.view import main
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import LogError, TableError
+from roadperc_stream.input.earlier_replay import is_result_of
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.model import Absent, Boundary, Lanes
@@ -61,6 +62,13 @@ def test_the_error_names_an_unreadable_table(path, tmp_path, damage):
         broken.write_bytes(path.read_bytes()[:-20] if damage == "cut" else b"frame,total_ms\n")
     with pytest.raises(TableError, match=r"out\.metrics\.parquet"):
         TableTimes(broken).of("log", 0)
+
+
+def test_the_error_names_a_table_without_times(tmp_path):
+    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}) as writer:
+        writer.append(FrameMetrics("log", 0, 0))
+    with pytest.raises(TableError, match="no column read_ms"):
+        TableTimes(tmp_path / "out.metrics.parquet").of("log", 0)
 
 
 def test_a_running_replay_returns_the_noted_times():
@@ -151,6 +159,12 @@ def test_results_with_another_schema_are_ignored(tmp_path):
     assert not problems.counts
 
 
+def test_rows_of_a_version_with_other_columns_are_ignored():
+    known = channel(METRICS)
+    assert is_result_of(known, METRICS)
+    assert not is_result_of(replace(known, schema_data=known.schema_data[:-1]), METRICS)
+
+
 def test_an_unreadable_message_is_absent_in_a_frame_and_reported_by_a_video(tmp_path, capsys):
     source, problems = write_log(tmp_path / "out.mcap", {"/perception/lanes": BAD}), Problems()
     assert isinstance(read_frame(source, STAMPS[1], problems).lanes, Absent)
@@ -160,6 +174,20 @@ def test_an_unreadable_message_is_absent_in_a_frame_and_reported_by_a_video(tmp_
     assert "note: /perception/lanes: message at" in out
     assert "warning: 1 message on /perception/lanes could not be read, not shown" in out
     assert "(3 pictures at 20 Hz, of 3 frames)" in out
+
+
+def test_an_unreadable_overlay_repeats_the_previous_picture(tmp_path):
+    good = encoding.encode_image(STAMPS[0], "camera", "png", PNG)
+    path = tmp_path / "out.mcap"
+    with LogWriter(path) as writer:
+        for frame, content in enumerate((good, BAD, good)):
+            stamp = STAMPS[frame]
+            row = contents(frame)[METRICS]
+            writer.write(Message(channel(METRICS), stamp, stamp, frame, row))
+            writer.write(Message(channel("/perception/overlay"), stamp, stamp, frame, content))
+    video = write_video(path, tmp_path / "video.mp4")
+    assert video.pictures == 3
+    assert video.problems.counts == {"/perception/overlay": 1}
 
 
 def test_a_video_of_unreadable_rows_says_why_it_fails(tmp_path):

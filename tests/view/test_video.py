@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import LogError
+from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics, result_channel
@@ -101,6 +101,17 @@ def test_a_log_without_overlays_gives_the_same_video(tmp_path):
     for a, b in zip(drawn, written, strict=True):
         assert np.abs(a.astype(int) - b).mean() < 4
         assert a[200, 160, 0] > a[200, 160, 2] + 20
+
+
+def test_an_existing_video_is_replaced_only_with_force(tmp_path):
+    source = overlays(tmp_path / "out.mcap", stamps(0, 50), [(220, 0, 0)] * 2)
+    target = tmp_path / "video.mp4"
+    target.write_bytes(b"mine")
+    with pytest.raises(TargetError, match=r"video.mp4: exists; pass --force to overwrite it"):
+        write_video(source, target)
+    assert target.read_bytes() == b"mine"
+    write_video(source, target, force=True)
+    assert len(read_video(target)[0]) == 2
 
 
 def test_a_video_of_an_input_log_says_to_replay_it_first(tmp_path):

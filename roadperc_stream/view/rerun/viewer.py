@@ -9,7 +9,9 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
 from io import FileIO
 from pathlib import Path
 from time import monotonic, sleep
@@ -24,6 +26,7 @@ URL: Final = "rerun+http://127.0.0.1:9876/proxy"
 _ADDRESS: Final = ("127.0.0.1", 9876)
 _COMMAND: Final = (sys.executable, "-m", "rerun", "--bind", _ADDRESS[0], "--port", str(_ADDRESS[1]))
 _STARTS_WITHIN_S: Final = 30.0
+_ANSWERS_WITHIN_S: Final = 5.0
 _EXITS_WITHIN_S: Final = 2.0
 """A viewer without a display listens briefly before it exits."""
 
@@ -34,9 +37,14 @@ def start_viewer() -> None:
     The SDK's own ``spawn`` listens on all addresses and waits forever for a viewer without a display.
 
     Raises:
-        RoadpercError: no viewer starts.
+        RoadpercError: no viewer starts, or another program uses its port.
     """
     if _listening():
+        if not _is_viewer():
+            where = "{}:{}".format(*_ADDRESS)
+            raise RoadpercError(
+                f"{where}: another program uses this port; close it, or write a file with --save FILE.rrd"
+            )
         return
     quiet = subprocess.DEVNULL
     viewer = subprocess.Popen(_COMMAND, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True)
@@ -72,6 +80,16 @@ def _listening() -> bool:
     except OSError:
         return False
     return True
+
+
+def _is_viewer() -> bool:
+    """Whether the listener is a viewer; the SDK would wait forever for another program."""
+    with closing(HTTPConnection(*_ADDRESS, timeout=_ANSWERS_WITHIN_S)) as connection:
+        try:
+            connection.request("OPTIONS", "/proxy")
+            return connection.getresponse().status == HTTPStatus.OK
+        except (OSError, HTTPException):
+            return False
 
 
 _PIECE_BYTES: Final = 2**20

@@ -101,6 +101,12 @@ def test_the_nearest_objects_get_captions_without_overlap():
     assert np.diff(bottoms).min() > message.texts[0].font_size
 
 
+def test_objects_without_a_caption_in_the_image_have_none_in_3d():
+    entity = objects_entity(*CROWD)
+    assert len(entity.cubes) == 4
+    assert [text.text for text in entity.texts] == ["Car 4.0 m", "Car 12.0 m", "Car 20.0 m"]
+
+
 def test_proposals_are_fainter_than_boundaries():
     line = (10.0, 200.0, 60.0, 120.0)
     ends = np.array(line).reshape(2, 2)

@@ -77,6 +77,13 @@ def test_an_overlay_is_a_jpeg_of_the_frame(folder):
         assert picture[200, 160, 0] > picture[200, 160, 2] + 20  # the road is tinted blue
 
 
+def test_pictures_are_deterministic_and_replaced_by_a_later_replay(folder, tmp_path):
+    replay(folder / "full.mcap", tmp_path / "again.mcap", CFG, on_request=("overlay", "debug"))
+    assert (tmp_path / "again.mcap").read_bytes() == (folder / "full.mcap").read_bytes()
+    replay(folder / "full.mcap", tmp_path / "bare.mcap", CFG)
+    assert not pictures(tmp_path / "bare.mcap")
+
+
 def test_absent_results_have_no_picture(folder, tmp_path):
     cfg = load_config(None, ("odometry.enabled=false", "stereo.method=off"))
     replay(folder / "in.mcap", tmp_path / "out.mcap", cfg, on_request=("debug",))

@@ -1,5 +1,6 @@
 """Results are drawn into a camera image at their places."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -63,6 +64,14 @@ def test_the_raw_line_is_thin_dashed_and_on_top():
     assert ((in_dash[..., 1] > 150) & (in_dash[..., 2] < 60)).any(axis=1).all()
 
 
+def test_labels_are_not_drawn_in_the_reserved_rows():
+    objects = Objects((Object(box("Car", 80, 5, 200, 90), kept=True, class_ratio=1.0, distance_m=5.0),))
+    drawn = draw_overlay(np.full((240, 320, 3), 255, np.uint8), NOTHING, objects, NOTHING, top_px=40)
+    plate = is_colour(drawn, (25, 25, 25))
+    assert plate.any()
+    assert not plate[:40].any()
+
+
 def test_a_smaller_copy_has_the_results_at_scaled_places():
     objects = Objects((Object(box("Car", 200, 80, 260, 160), kept=True, class_ratio=1.0),))
     drawn = draw_overlay(black(), lane("measured"), objects, NOTHING, width_px=160)
@@ -91,6 +100,18 @@ def test_kept_boxes_are_solid_and_dropped_ones_dashed():
         edge = is_colour(draw_overlay(black(), NOTHING, objects, NOTHING), colour)[199, 42:238]
         assert edge.all() == kept
         assert edge.any()
+
+
+def test_text_is_legible_and_labels_do_not_overlap():
+    """Every label has a dark plate of 11 rows or more; three boxes at one place have three separate plates."""
+    same = [Object(box("Car", 80, 160, 140, 220), kept=True, class_ratio=1.0, distance_m=float(m)) for m in (5, 9, 20)]
+    for rows, columns in ((240, 320), (960, 1280)):
+        white = np.full((rows, columns, 3), 255, np.uint8)
+        plates = is_colour(draw_overlay(white, NOTHING, Objects(tuple(same)), NOTHING), (25, 25, 25)).astype(np.uint8)
+        closed = cv2.morphologyEx(plates, cv2.MORPH_CLOSE, np.ones((1, 9), np.uint8))
+        count, _, stats, _ = cv2.connectedComponentsWithStats(closed)
+        assert count - 1 >= 3
+        assert stats[1:, cv2.CC_STAT_HEIGHT].min() >= 11
 
 
 coordinates = st.floats(-1e9, 1e9) | st.just(np.nan) | st.just(np.inf)

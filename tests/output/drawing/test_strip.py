@@ -49,6 +49,11 @@ def test_the_strip_shows_the_numbers_of_the_row():
     ]
 
 
+def test_null_values_are_left_out():
+    assert words(ROW) == ["frame 7", "0.35 s"]
+    assert [phrase.text for phrase in frame_phrases(ROW, NOTHING, 0.35)] == ["frame 7", "0.35 s"]
+
+
 @pytest.mark.parametrize(
     ("objects", "text"),
     [
@@ -99,3 +104,9 @@ def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
     shade = pixels[0, 0]
     assert (shade < 100).all()
     np.testing.assert_array_equal(pixels[:covered, -1], np.broadcast_to(shade, (covered, 3)))
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (20, 30)])
+def test_the_strip_fits_into_tiny_images(rows, columns):
+    canvas = Canvas(np.zeros((rows, columns, 3), np.uint8))
+    draw_strip(canvas, lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.0), *LEGEND), canvas))

@@ -11,6 +11,8 @@ from foxglove.websocket import PlaybackStatus as Status
 from roadperc_stream.log import Channel, Message
 from roadperc_stream.view.live.player import (
     EDGE_POLL_S,
+    LONGEST_WAIT_S,
+    LOOP_PAUSE_S,
     RESUME_LEAD_S,
     TICK_S,
     Player,
@@ -200,6 +202,22 @@ def test_each_round_of_a_loop_is_a_new_session():
         assert script.events[start + 4] == (Status.Playing, 0, False)
 
 
+def test_a_loop_returns_to_the_start_time():
+    script = Script(log(), {0: WATCH, 3.9: STOP}).run(start_s=2.0, loop=True)
+    assert [event[1] for event in script.sent() if event[0] == "/image"] == [2, 3, 4, 2, 3]
+
+
+def test_a_loop_without_viewers_waits():
+    script = Script(log(), {0: WATCH, 99: STOP}, watching=[]).run(loop=True)
+    assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
+    assert script.events[-1:] == [(Status.Paused, 0, True)]
+
+
+def test_a_loop_over_one_message_pauses_between_rounds():
+    script = Script([message(IMAGE, 0)], {0: ["/image"], 10: STOP}).run(loop=True)
+    assert len(script.sent()) <= 10 / LOOP_PAUSE_S
+
+
 def test_playback_waits_for_a_running_replay_without_loss():
     script = Script(log(), {0: WATCH, 30: STOP}, complete_at_s=9).run()
     assert [event[1] for event in script.sent() if event[0] == "/image"] == [0, 1, 2, 3, 4]
@@ -212,6 +230,11 @@ def test_a_seek_beyond_the_computed_part_gives_a_warning():
     script = Script(log(), {0: WATCH, 2.5: [seek], 30: STOP}, complete_at_s=9).run()
     assert script.answers[0].current_time == 1 * S
     assert any("3.0 s before the requested time" in event for event in script.events if isinstance(event, str))
+
+
+def test_a_stopped_player_answers_requests():
+    script = Script(log(), {0: WATCH, 1.5: STOP}).run()
+    assert script.player.on_playback_control_request(request(play=False)).current_time == round(1.5 * S)
 
 
 def test_only_the_newest_waiting_seek_reads_the_log():
@@ -236,6 +259,16 @@ def test_a_seek_during_a_read_is_not_lost():
     assert script.events[-1] == (Status.Ended, 4, False)
 
 
+def test_every_wait_of_the_player_is_bounded():
+    """A signal just before a wait is handled only after it."""
+    waits = []
+    script = Script(log(), {9: STOP})
+    wait = script.wait
+    script.wait = lambda wait_s: (waits.append(wait_s), wait(wait_s))
+    script.run()
+    assert 0 < max(waits) < 1
+
+
 LOG = Reach(100 * S, 200 * S)
 GROWING = Reach(100 * S, 150 * S, complete=False)
 PLAYING = Playhead(Status.Playing, 110 * S, 7 * S)
@@ -247,6 +280,11 @@ PLAYING = Playhead(Status.Playing, 110 * S, 7 * S)
 def test_the_wait_is_the_time_to_the_next_message_and_one_tick_at_most(rate, next_s, wait_s):
     head = Playhead(Status.Playing, 110 * S, 7 * S, rate)
     assert advance(head, round(next_s * S), LOG, 7 * S) == (head, pytest.approx(wait_s))
+
+
+def test_a_new_rate_applies_from_now_on():
+    faster, moved = apply_request(PLAYING, request(play=True, rate=3.0), LOG, 9 * S)
+    assert (faster.at(9 * S), faster.at(10 * S), moved) == (112 * S, 115 * S, False)
 
 
 def test_rates_are_clamped_and_invalid_ones_ignored():
@@ -272,6 +310,11 @@ def test_a_gap_of_more_than_an_hour_is_skipped():
 def test_playing_from_the_end_starts_over(status):
     head, moved = apply_request(Playhead(status, 200 * S, 0), request(play=True), LOG, 9 * S)
     assert (head.log_ns, head.status, moved) == (100 * S, Status.Playing, True)
+
+
+def test_a_pause_at_the_end_does_not_loop():
+    paused, _ = apply_request(Playhead(Status.Ended, 200 * S, 97 * S), request(play=False), LOG, 97 * S)
+    assert advance(paused, None, LOG, 999 * S, loop_ns=105 * S) == (paused, LONGEST_WAIT_S)
 
 
 @pytest.mark.parametrize("loop_ns", [100 * S, None])

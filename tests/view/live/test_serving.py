@@ -6,12 +6,14 @@ import shutil
 import signal
 import socket
 import subprocess
-from contextlib import ExitStack, contextmanager
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
 from threading import Event, Thread
 
 import polars as pl
 import pytest
-from websockets.exceptions import WebSocketException
+from websockets.exceptions import ConnectionClosed, WebSocketException
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
@@ -148,6 +150,62 @@ def test_the_server_answers_while_the_disk_is_blocked(path, monkeypatch):
     assert 1010 * S + 200 in ends
 
 
+def test_many_seeks_of_a_viewer_do_not_block_a_second_viewer(path):
+    """The first viewer seeks until the second one has its answer, with twenty seeks under way."""
+    raging, ended = Event(), Event()
+
+    def storm():
+        while not ended.is_set():
+            first.heard.clear()
+            for k in range(20):
+                first.request("seek", play=k % 2 == 0, seek_ns=1000 * S + k * 7919 * S // 1000 % (59 * S))
+            first.until(lambda: sum(state.request_id == "seek" for state in first.states()) == 20)
+            raging.set()
+
+    with served(path) as port, Viewer(port) as first, ThreadPoolExecutor() as threads:
+        first.subscribe()
+        storming = threads.submit(storm)
+        try:
+            assert raging.wait(PATIENCE_S)
+            with Viewer(port) as second:
+                second.subscribe()
+                second.until(lambda: second.shown("/image"))
+                second.request("second", play=False)
+                second.until(lambda: [s for s in second.states() if s.request_id == "second"])
+        finally:
+            ended.set()
+        storming.result()
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.0002])
+def test_a_flood_of_seeks_closes_no_other_connection(path, pause_s):
+    """The SDK closes that of the flood if the requests come faster than it reads them."""
+    with served(path) as port, Viewer(port) as first, Viewer(port) as second:
+        second.subscribe()
+        second.until(lambda: second.shown("/image"))
+        with suppress(*([] if pause_s else [ConnectionClosed])):
+            for k in range(3000):
+                first.request(f"seek {k}", play=k % 2 == 0, seek_ns=1000 * S + k * S // 100)
+                time.sleep(pause_s)
+        if pause_s:
+            newest = first.until(lambda: [s for s in first.states() if s.request_id == "seek 2999"])
+            assert newest[0].log_ns == 1000 * S + 2999 * S // 100
+        assert second.control(play=False).status == "paused"
+
+
+def test_a_viewer_after_the_end_gets_the_time_and_the_last_frame(path):
+    with served(path, start_s=59.0, rate=20.0) as port:
+        with Viewer(port) as first:
+            first.subscribe()
+            first.until(lambda: [s for s in first.states() if s.status == "ended"])
+        with Viewer(port) as second:
+            second.subscribe()
+            second.until(lambda: len(second.shown()) >= 2)
+            assert {m.data for m in second.shown()} == {b"calibration", b"image 599"}
+            assert (1059_900_000_000,) in second.until(lambda: [t for t in second.heard if len(t) == 1])
+            assert second.until(second.states)[-1][:2] == ("ended", 1059_900_000_000)
+
+
 def test_the_server_stops_although_a_viewer_does_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(live_serving, "_STOP_S", 0.3)
     path, image = tmp_path / "large.mcap", CHANNELS[1]
@@ -203,6 +261,13 @@ def test_a_loop_starts_a_new_session_with_new_channels(path):
 def test_a_note_says_that_other_machines_can_connect(path, host, is_noted, capsys):
     with served(path, host=host):
         assert ("every machine" in capsys.readouterr().err) == is_noted
+
+
+def test_other_addresses_connect_only_with_host(path):
+    with served(path) as port, pytest.raises(ConnectionRefusedError):
+        Viewer(port, "127.0.0.2")
+    with served(path, host="0.0.0.0") as port, Viewer(port, "127.0.0.2") as viewer:
+        assert viewer.channels
 
 
 def test_the_error_names_a_port_in_use(path):
@@ -333,6 +398,14 @@ def test_a_replay_with_a_port_in_use_writes_nothing(source, tmp_path, capsys):
         assert replay_main([str(source), str(tmp_path / "out.mcap"), "--live", "--port", port]) == 1
     assert f"error: 127.0.0.1:{port}" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_wrong_live_options_are_a_usage_error(capsys):
+    for options in ("--rate 2", "--loop", "--host ::1", "--port 0", "--live --rate 0", "--live --port 70000"):
+        with pytest.raises(SystemExit) as ended:
+            replay_main(["in.mcap", "out.mcap", *options.split()])
+        assert ended.value.code == 2
+        assert options.removeprefix("--live ").split()[0] in capsys.readouterr().err, options
 
 
 @pytest.mark.parametrize(("command", "number"), [("serve", signal.SIGINT), ("replay", signal.SIGTERM)])

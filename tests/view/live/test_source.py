@@ -8,7 +8,8 @@ from roadperc_stream.log import Channel, LogWriter, Message
 from roadperc_stream.output.results import result_channel
 from roadperc_stream.schemas import row_messages as pb
 from roadperc_stream.schemas.columns import FrameMetrics
-from roadperc_stream.schemas.topics import TIMES_TOPIC
+from roadperc_stream.schemas.protobuf import schema
+from roadperc_stream.schemas.topics import LIVE_ONLY, RESULTS, TIMES_TOPIC
 from roadperc_stream.view.live.source import Reach, Source, finished_log, has_times, held, running_replay, with_times
 from roadperc_stream.view.result_frames import ReplayTimes
 
@@ -85,6 +86,14 @@ def test_held_messages_are_the_last_of_each_channel(source):
     assert held(source, {"/often"}, 10 * S - 1) == []
 
 
+def test_messages_of_one_log_time_are_held_together(tmp_path):
+    writer, running = opened(tmp_path / "log.mcap")
+    for k in range(4):
+        writer.write(Message(ONCE, 10 * S + k // 2, 0, k, bytes([k])))
+    assert [m.data for m in held(running, {"/once"}, 20 * S)] == [b"\x02", b"\x03"]
+    writer.__exit__(None, None, None)
+
+
 def test_the_reach_ends_before_an_incomplete_frame(tmp_path):
     writer, running = opened(tmp_path / "log.mcap")
     assert running.reach() == Reach(10 * S - 1, 10 * S - 1, complete=False)
@@ -105,6 +114,16 @@ def test_following_a_growing_log_continues_after_chunks_and_the_rename(tmp_path)
     writer.__exit__(None, None, None)
     found += [m for m in coming if m]
     assert plain(found) == plain(messages(20))
+
+
+def test_a_growing_log_holds_one_chunk_in_memory(tmp_path):
+    writer, _ = opened(tmp_path / "log.mcap")
+    most, growing = 0, writer.while_written()
+    for message in messages(20):
+        writer.write(message)
+        most = max(most, sum(len(m.data) for m in growing._open))
+    assert most < 1_200_000
+    writer.__exit__(None, None, None)
 
 
 def test_reading_a_discarded_log_is_an_error(tmp_path):
@@ -168,6 +187,14 @@ def stamped(messages):
     return [m and (m.channel.topic, m.log_time_ns // S) for m in messages]
 
 
+def test_stage_times_have_the_documented_channel():
+    source = timed(LOG, known())
+    assert source.channels[:2] == (IMAGE, METRICS)
+    assert [(c.topic, c.schema_name) for c in source.channels[2:]] == list(LIVE_ONLY.items())
+    assert source.channels[2].schema_data == schema("roadperc.StageTimes").data
+    assert TIMES_TOPIC not in RESULTS
+
+
 LOG = [image(0), metrics(0), image(1), metrics(1), image(2), metrics(2)]
 
 
@@ -207,6 +234,20 @@ def test_late_stage_times_are_sent_before_the_next_frame():
         None,
         ("/image", 1),
     ]
+
+
+def test_stage_times_of_the_last_frame_are_sent_at_the_end():
+    times = known()
+    coming = timed([metrics(0)], times).follow(0)
+    assert stamped([next(coming)]) == [("/perception/metrics", 0)]
+    note(times, 0)
+    assert stamped(coming) == [(TIMES_TOPIC, 0)]
+
+
+def test_stage_times_are_held_after_a_seek():
+    source = timed(LOG, known(0, 1, 2))
+    assert stamped(held(source, {"/image", TIMES_TOPIC}, 1 * S + 5)) == [("/image", 1), (TIMES_TOPIC, 1)]
+    assert stamped(held(source, {"/image", "/perception/metrics"}, 0)) == [("/image", 0), ("/perception/metrics", 0)]
 
 
 def test_foreign_and_damaged_metrics_have_no_stage_times():

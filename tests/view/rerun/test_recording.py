@@ -8,14 +8,18 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
-from roadperc_stream.errors import LogError
+from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.decoding import Context, decode
-from roadperc_stream.log import LogWriter
+from roadperc_stream.log import Channel, LogWriter
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.output.drawing.annotations import caption
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.record import PRODUCER
 from roadperc_stream.schemas.row_messages import FrameMetrics
+from roadperc_stream.schemas.topics import RESULTS
 from roadperc_stream.view.rerun import save_recording
+from roadperc_stream.view.rerun.blueprint import STAGE_COLOURS
 from roadperc_stream.view.rerun.scene import metrics
 from roadperc_stream.view.rerun.tree import SceneState
 from tests import logs
@@ -212,6 +216,16 @@ def test_reasons_and_their_end_are_drawn_once():
     assert drawn == [[], [["stereo: no right image"]], [], [["nothing is missing now"]]]
 
 
+def test_stage_times_of_another_replay_are_left_out(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
+    other = logs.write(tmp_path / "other.mcap", logs.items(frames=3))
+    assert replay_main([str(source), str(tmp_path / "out.mcap"), "--quiet"]) == 0
+    assert replay_main([str(other), str(tmp_path / "else.mcap"), "--quiet"]) == 0
+    sidecar_path(tmp_path / "else.mcap", "metrics").replace(sidecar_path(tmp_path / "out.mcap", "metrics"))
+    save_recording(tmp_path / "out.mcap", tmp_path / "out.rrd", {})
+    assert not [e for e in recorded(tmp_path / "out.rrd") if e.startswith("/perception/times")]
+
+
 NOTHING = "no topic that roadperc-view can show; "
 
 
@@ -240,6 +254,33 @@ def test_a_log_without_shown_topics_gives_no_recording(tmp_path, items, extra, w
     assert list(tmp_path.iterdir()) == [source]
 
 
+def test_messages_without_a_frame_are_not_counted_as_frames(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=0))
+    assert save_recording(source, tmp_path / "in.rrd", {}).frames == 0
+    assert {"/camera/front/calibration", "/tf/camera"} <= set(recorded(tmp_path / "in.rrd"))
+
+
+def test_a_damaged_log_gives_no_recording(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
+    content = bytearray(source.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    source.write_bytes(content)
+    with pytest.raises(LogError, match=r"in\.mcap"):
+        save_recording(source, tmp_path / "in.rrd", {})
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+def test_an_existing_recording_is_replaced_only_with_force(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
+    target = tmp_path / "in.rrd"
+    target.write_text("mine")
+    with pytest.raises(TargetError, match=r"in\.rrd: exists; pass --force to overwrite it"):
+        save_recording(source, target, {})
+    assert target.read_text() == "mine"
+    save_recording(source, target, {}, force=True)
+    assert "/camera/front/image" in recorded(target)
+
+
 @pytest.fixture(scope="module")
 def with_overlay(tmp_path_factory):
     folder = tmp_path_factory.mktemp("overlay")
@@ -261,3 +302,22 @@ def test_damaged_messages_are_counted_and_the_others_drawn(with_overlay, tmp_pat
     assert set(exported.problems) == {topic}
     assert any("message at" in note for note in exported.notes)
     assert "/perception/lanes/annotations/smoothed" in recorded(tmp_path / "out.rrd")
+
+
+def test_foreign_topics_with_names_of_results_are_ignored(tmp_path):
+    theirs = [Channel(topic, "cdr", "std_msgs/msg/String", "ros2msg", b"string data\n") for topic in RESULTS]
+    ours = [replace(channel, metadata=(PRODUCER,)) for channel in theirs]
+    source, foreign = logs.write(tmp_path / "in.mcap", logs.items(frames=2)), tmp_path / "foreign.mcap"
+    for channels in (theirs, ours):
+        with LogWriter(foreign) as writer:
+            for message in log.read(log.summarise(source)):
+                writer.write(message)
+                for channel in channels:
+                    writer.write(replace(message, channel=channel, data=b"\0\1\0\0\2\0\0\0x\0"))
+        exported = save_recording(foreign, tmp_path / "out.rrd", {}, force=True)
+        assert (exported.frames, exported.problems) == (2, {})
+
+
+def test_every_stage_has_its_own_colour():
+    assert {f"{stage}_ms" for stage in STAGE_COLOURS} == set(TIME_COLUMNS)
+    assert len(set(STAGE_COLOURS.values())) == len(TIME_COLUMNS)

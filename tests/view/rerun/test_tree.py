@@ -177,6 +177,11 @@ def test_poses_of_log_and_results_have_different_odom_frames(role, frame):
     assert arrow.frame == frame
 
 
+def test_a_pose_in_an_odom_without_transforms_uses_the_odom_of_the_results():
+    (arrow,) = scene.pose("/truth/pose", "truth_pose", edge("odom", "ego", 2.0), SceneState())
+    assert arrow.frame == "odom"
+
+
 def planes(entries):
     """(entity, image plane) of the pinholes of the entries."""
     found = ((e.entity, e.archetype) for e in entries if e.archetype.archetype() == "rerun.archetypes.Pinhole")
@@ -196,3 +201,12 @@ def test_cameras_of_one_frame_draw_its_image_plane_once():
     picture = DepthImage("camera", lambda: (np.ones((120, 160), np.float32), 65.535))
     assert [entry.frame for entry in pictures.depth("/depth/image", "depth", picture, state)] == [plane]
     assert planes(pictures.calibration("/color", "calibration", front, state)) == [("/color", "camera_image_plane")]
+
+
+def test_a_depth_image_without_calibration_shares_the_plane_of_its_frame():
+    state = SceneState()
+    for name, role in (("camera", "calibration"), ("left", "left_calibration")):
+        list(pictures.calibration(f"/{name}", role, camera(name), state))
+    picture = DepthImage("left", lambda: (np.ones((240, 320), np.float32), 65.535))
+    (entry,) = pictures.depth("/depth", "depth", picture, state)
+    assert entry.frame == "left_image_plane"

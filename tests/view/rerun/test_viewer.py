@@ -4,13 +4,14 @@ import signal
 import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic, sleep
 
 import pytest
 import rerun_cli
 
-from roadperc_stream.errors import TargetError
+from roadperc_stream.errors import RoadpercError, TargetError
 from roadperc_stream.view.rerun import open_viewer, recording, viewer
 from tests import logs
 
@@ -50,6 +51,24 @@ def test_closing_the_viewer_is_an_error(server, tmp_path):
 
     with pytest.raises(TargetError, match=r"127\.0\.0\.1:\d+/proxy: the viewer was closed"):
         open_viewer(source, {}, close_window)
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", b"hello\n", b""])
+def test_another_program_on_the_port_is_an_error(monkeypatch, tmp_path, answer):
+    monkeypatch.setattr(viewer, "_ANSWERS_WITHIN_S", 0.5)
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=1))
+    with socket.create_server(("127.0.0.1", 0)) as other, ThreadPoolExecutor(1) as thread:
+        monkeypatch.setattr(viewer, "_ADDRESS", other.getsockname())
+
+        def serve():
+            for _ in range(2):
+                with other.accept()[0] as connection:
+                    connection.send(answer)
+
+        serving = thread.submit(serve)
+        with pytest.raises(RoadpercError, match=r"127\.0\.0\.1:\d+: another program uses this port; close it, or"):
+            open_viewer(source, {})
+        serving.result()
 
 
 SENDING = """
