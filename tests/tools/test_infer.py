@@ -16,6 +16,8 @@ from roadperc_stream import log
 from roadperc_stream.cli import degrade, replay
 from roadperc_stream.cli.infer import main
 from roadperc_stream.log import LogWriter
+from roadperc_stream.tools.networks.description import read_network
+from roadperc_stream.tools.networks.frames import load
 from tests.input import test_elsewhere as elsewhere
 from tests.log.test_bags import split_bag
 from tests.tools.test_video_logs import TOPIC, write_log
@@ -97,6 +99,18 @@ def test_results_are_replaced_only_with_force_and_do_not_depend_on_threads(drive
     for name, threads in (("1.mcap", 1), ("2.mcap", 2)):
         assert infer(drive, drive / "out.mcap", name, "--force", "--threads", threads) == 0
     assert (drive / "1.mcap").read_bytes() == (drive / "2.mcap").read_bytes()
+
+
+def test_an_image_wider_than_two_to_one_has_the_lanes_of_the_whole_image(drive, data_dir):
+    pair = load([read_network(drive / "twinlitenet.toml")])
+    whole = cv2.imread(str(drive / "shots/0.jpg"))
+    seen, wide = pair.raw(whole).masks, pair.raw(whole[230:520]).masks
+    for name, least in (("road", 0.75), ("road_line", 0.75)):
+        found, true = wide[name], seen[name][230:520]
+        assert (found & true).sum() > least * (found | true).sum()
+    kitti = pair.raw(cv2.imread(str(data_dir / "kitti_odometry" / "image_0" / "000010.png"))).masks
+    assert kitti["road"].mean() > 0.05
+    assert kitti["road_line"].mean() > 0.003
 
 
 def messages(path):

@@ -34,10 +34,12 @@ class InputKeys(_Keys):
     mean: Numbers = (0.0, 0.0, 0.0)
     scale: float | Numbers = 1.0
     resize: Literal["squeeze", "letterbox"] = "squeeze"
+    aspect: Annotated[float, Field(gt=0)] = 2.0
+    """Columns / rows of the widest image that is squeezed as it is, unless the input is wider itself."""
     align: Literal["corner", "centre"] = "corner"
     """Place of the image in a letterbox."""
     pad: Annotated[int, Field(ge=0, le=255)] = 114
-    """Grey level around the image in a letterbox."""
+    """Grey level around the image."""
 
     def shape(self) -> tuple[int, int, int, int]:
         """Shape of the model's input."""

@@ -29,19 +29,26 @@ class Placement:
         """(C, h', w') part of (C, h, w) scores that shows the image; the scores may be smaller than the input."""
         first = np.array(self.offset) * (share := scores.shape[:0:-1] / np.array(input_size))
         end = first + np.array(self.size) * self.scale * share
-        (left, top), (right, bottom) = np.rint((first, end)).astype(int)
+        (left, top), (right, bottom) = np.rint((first, np.maximum(end, first + 1))).astype(int)
         return scores[:, top:bottom, left:right]
 
 
 def placement(keys: InputKeys, size: tuple[int, int]) -> Placement:
-    """Return the place of an image of ``size`` (columns, rows) in the input."""
+    """Return the place of an image of ``size`` (columns, rows) in the input.
+
+    A network that is trained on squeezed images finds neither road nor markings in a much wider one. So such an image
+    gets borders above and below first.
+    """
     full = keys.size[0] / size[0], keys.size[1] / size[1]
     if keys.resize == "squeeze":
-        return Placement(size, full, (0, 0))
-    scale = min(full)
-    free = [keys.size[axis] - round(size[axis] * scale) for axis in (0, 1)]
-    column, row = (gap // 2 if keys.align == "centre" else 0 for gap in free)
-    return Placement(size, (scale, scale), (column, row))
+        rows = max(size[1], round(size[0] / max(keys.aspect, keys.size[0] / keys.size[1])))
+        scale = full[0], keys.size[1] / rows
+    else:
+        scale = min(full), min(full)
+    free = [keys.size[axis] - round(size[axis] * scale[axis]) for axis in (0, 1)]
+    is_centred = keys.resize == "squeeze" or keys.align == "centre"
+    column, row = (gap // 2 if is_centred else 0 for gap in free)
+    return Placement(size, scale, (column, row))
 
 
 def as_seen(keys: InputKeys, bgr: Image) -> Image:

@@ -77,6 +77,24 @@ def test_a_letterbox_is_undone(align, columns, rows):
     assert place.in_image(there) == pytest.approx(box)
 
 
+@pytest.mark.parametrize(
+    ("input_size", "size", "expected"),
+    [
+        ((320, 320), (960, 540), ((1 / 3, 320 / 540), (0, 0))),
+        ((320, 320), (1080, 540), ((320 / 1080, 320 / 540), (0, 0))),
+        ((320, 320), (1280, 320), ((0.25, 0.5), (0, 80))),
+        ((320, 320), (100_000, 1), ((0.0032, 0.0064), (0, 160))),
+        ((640, 160), (1280, 320), ((0.5, 0.5), (0, 0))),
+    ],
+)
+def test_an_image_wider_than_the_squeezed_ones_gets_borders(input_size, size, expected):
+    place = placement(InputKeys(size=input_size), size)
+    assert (place.scale, place.offset) == expected
+    scores = np.zeros((1, *input_size[::-1]), np.float32)
+    rows = max(round(size[1] * place.scale[1]), 1)
+    assert place.cut(scores, input_size).shape == (1, rows, input_size[0])
+
+
 def test_a_portrait_input_refuses_landscape_images(tmp_path):
     network = described(tmp_path / "a", TEXT.replace("[64, 32]", "[32, 64]"))
     with pytest.raises(ConfigError, match=r"32 columns and 64 rows is portrait.*96x54"):
