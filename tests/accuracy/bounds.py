@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-DECIMALS = {"%": 1, "cm": 2, "s": 2, "frames": 0, "": 4}
+DECIMALS = {"%": 1, "cm": 2, "mm": 2, "s": 2, "px": 3, "frames": 0, "": 4, "°": 4}
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14
 from roadperc_stream.tools.scene import dump_files, noise
 from roadperc_stream.tools.scene.job import PURPOSES, render_dump
 from roadperc_stream.tools.scene.options import RenderOptions
+from tests import course
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,8 +57,13 @@ class Excerpt:
     folder: str
     step: int
 
+    @property
+    def name(self):
+        """The name in file names."""
+        return f"{Path(self.folder).name}-{self.step}"
+
     def write(self, folder):
-        """Write the frames as a sequence into a folder; returns its frames per second."""
+        """Write the frames as a sequence into a folder; returns the options with which it is converted."""
         source = Path(self.folder)
         (folder / "image_0").mkdir(parents=True, exist_ok=True)
         shutil.copy(source / "calib.txt", folder)
@@ -65,7 +71,20 @@ class Excerpt:
             shutil.copy(picture, folder / "image_0" / f"{k:06d}.png")
         lines = (source / "poses.txt").read_text().splitlines()[:: self.step]
         (folder / "poses.txt").write_text("\n".join(lines) + "\n")
-        return 10 / abs(self.step)
+        return ("--rate", f"{10 / abs(self.step):g}")
+
+
+@dataclass(frozen=True)
+class CoursePair:
+    """The course's stereo pair as its public solutions take it."""
+
+    folder: str
+    name = "course-pair"
+
+    def write(self, folder):
+        """Write the pair as a dump into a folder; returns the options with which it is converted."""
+        course.write_dump(Path(self.folder), folder)
+        return ()
 
 
 def drive(name, seeds=1.0, *, pitch_is_unknown=False, **options):

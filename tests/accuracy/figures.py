@@ -93,6 +93,8 @@ def of_noise():
     yield line(f"{prefix}off by more than 0.3 m 10 m ahead", at_most(1), AT_10_M)
     name = "stills with an unknown pitch of -6 to 6°: points within 20 px (TuSimple)"
     yield lines("Lanes and noise", of.ONE_BY_ONE)(name, at_least(0.93, ""), values.points_right)
+    name = "course frame 1: left boundary off its measured line"
+    yield lines("Lanes and noise", of.COURSE_FRAMES)(name, at_most(10, "cm"), values.off_own_line)
 
 
 def of_surface():
@@ -108,7 +110,7 @@ def of_surface():
 
 
 def of_motion():
-    """One camera at a known height, on real images; images whose brightness changes."""
+    """One camera at a known height, on real images; turns at 2 Hz; images whose brightness changes."""
     for way, scenarios in of.KITTI_WAYS.items():
         line = lines("One camera, KITTI", scenarios)
         yield line(f"{way}: step, median error", at_most(2), values.step_error)
@@ -121,6 +123,9 @@ def of_motion():
     yield line("steps beyond 3 deviations", at_most(4), values.steps_beyond)
     name = "level road, unknown pitch of -3 and 3°: height of the last pose, share of the path"
     yield lines("One camera, pose", of.TILTED)(name, at_most(1), values.height_error)
+    line = lines("Turn at 2 Hz", *of.AT_WIDE_BASELINES)
+    yield line("frames lost whose step `orb` gives within 10 %", at_most(0, "frames"), values.lost_where_others_track)
+    yield line("step, median error, orb / klt", "klt ≤ 1.1 times orb", values.as_exact)
     for kind, scenarios in of.EXPOSURES.items():
         line = lines("Exposure", scenarios)
         if kind != "blackouts":
@@ -172,7 +177,7 @@ def of_filter():
 
 
 def of_impact():
-    """Time to impact, in frames with and without a true one."""
+    """Time to impact, in frames with and without a true one; the course's obstacle with the course's settings."""
     cases = {"sample": of.STANDARD, "turn": of.TURNING, "lane that merges": of.MERGING}
     for level in of.TOWNS:
         cases |= {f"town, noise {level}": of.TOWNS[level], f"braking lead car, noise {level}": of.BRAKING[level]}
@@ -186,6 +191,9 @@ def of_impact():
     yield line(f"{prefix}frames with a value", at_least(95), values.impact_known)
     yield line(f"{prefix}error, median", at_most(0.2, "s"), values.impact_error)
     yield line(f"{prefix}error, 95 %", at_most(0.5, "s"), values.impact_error, **P95)
+    line = lines("Obstacle by its picture, course", of.COURSE_OBSTACLE)
+    yield line("place", at_most(0, "px"), values.obstacle_place_off)
+    yield line("distance", at_most(1, "mm"), values.obstacle_off)
 
 
 def deviations(line, prefix, quantities):
@@ -216,6 +224,26 @@ def of_one_camera():
     yield from deviations(line, "", ("distance", "closing speed", "time to impact"))
 
 
+STANDARD_TODAY = (
+    ("lane left 10 m ahead", "lane_left_error_m", 100, "cm", 0.62, 1.37),
+    ("lane right 10 m ahead", "lane_right_error_m", 100, "cm", 0.42, 0.85),
+    ("road height 5 to 40 m ahead", "surface_height_error_m", 100, "cm", 13.04, 15.31),
+    ("step", "step_error_m", 1000, "mm", 1.34, 3.98),
+    ("turn", "turn_error_deg", 1, "°", 0.0077, 0.0151),
+    ("stereo disparity", "stereo_epe_px", 1, "px", 0.404, 0.471),
+)
+"""Values of version 0.1.0 on ``logs/sample.mcap``, median and 95 %: they must not get worse."""
+
+
+def of_standard():
+    """The drive of ``make demo``."""
+    line = lines("Sample", of.STANDARD)
+    for name, column, factor, unit, median, p95 in STANDARD_TODAY:
+        for share, limit in ((0.5, median), (0.95, p95)):
+            title = f"{name}, {'median' if share == 0.5 else '95 %'}"
+            yield line(title, at_most(limit, unit), values.error_quantile, column=column, factor=factor, share=share)
+
+
 FIGURES = (
     *of_changes(),
     *of_noise(),
@@ -226,4 +254,5 @@ FIGURES = (
     *of_impact(),
     *of_uncertainty(),
     *of_one_camera(),
+    *of_standard(),
 )

@@ -15,7 +15,7 @@ import polars as pl
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
-from tests.accuracy.drives import Drive, Excerpt, make_logs
+from tests.accuracy.drives import Drive, make_logs
 from tests.accuracy.scenarios import Scenario
 from tests.accuracy.values import Tables
 
@@ -112,22 +112,22 @@ def replay_source(source, seed, scenarios: Sequence[Scenario], folder):
 
 
 def recording(source, folder):
-    """A recording, or an excerpt of one, as a log.
+    """A recording, or what is written from one, as a log.
 
     Raises:
         LookupError: it does not exist.
         RuntimeError: it cannot be converted.
     """
-    path, rate = Path(source.folder if isinstance(source, Excerpt) else source), ()
+    path, options = Path(source if isinstance(source, str) else source.folder), ()
     if not path.exists():
         raise LookupError(f"no recording {path.name}")
     if path.is_file():
         return path
     dump = folder / path.name
-    if isinstance(source, Excerpt):
-        dump = folder / f"{path.name}-{source.step}"
-        path, rate = dump, ("--rate", f"{source.write(dump):g}")
-    if convert.main([str(path), f"{dump}.mcap", "--quiet", "--force", *rate]) != 0:
+    if not isinstance(source, str):
+        path = dump = folder / source.name
+        options = source.write(dump)
+    if convert.main([str(path), f"{dump}.mcap", "--quiet", "--force", *options]) != 0:
         raise RuntimeError(f"{dump.name} cannot be converted")
     return Path(f"{dump}.mcap")
 
@@ -139,6 +139,7 @@ def replay(scenario, log, seed, folder):
     options = ["--quiet", "--force", "--results-only"]
     options += ["--only", scenario.only] if scenario.only else []
     options += [word for setting in scenario.settings for word in ("--set", setting)]
+    options += ["--template", scenario.template] if scenario.template else []
     errors = io.StringIO()
     with contextlib.redirect_stderr(errors):
         code = replay_main([str(log), str(target), *options])

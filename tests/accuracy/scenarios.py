@@ -3,7 +3,8 @@
 import os
 from dataclasses import dataclass
 
-from tests.accuracy.drives import ROOT, Drive, Excerpt, Noise, drive
+from tests import course
+from tests.accuracy.drives import ROOT, CoursePair, Drive, Excerpt, Noise, drive
 from tests.conftest import DEFAULT_DATA
 
 CLEAN, MODEST, HEAVY, TAGS = Noise(), Noise(0.02, 0.01), Noise(0.05, 0.02), Noise(0.02)
@@ -24,10 +25,11 @@ class Scenario:
     """A drive under a kind of noise, or a recording (a log, a folder, or frames of one), replayed with some stages."""
 
     name: str
-    source: Drive | Excerpt | str
+    source: Drive | Excerpt | CoursePair | str
     noise: Noise = CLEAN
     only: str = ""
     settings: tuple[str, ...] = ()
+    template: str = ""
 
 
 def replays(drives, noise, only, name="{}"):
@@ -84,6 +86,7 @@ ONE_BY_ONE = replays(
     TAGS,
     LANES,
 )
+COURSE_FRAMES = (Scenario("course frames", f"{DATA}/course_frames"),)
 
 ROADS = {"hill": drive("hill", scene="hill", rate_hz=2.0, seconds=8.0), "bend": BEND, "sample": SAMPLE}
 BY_MODEL = {
@@ -123,6 +126,20 @@ TILTED = replays(
     TAGS,
     MOTION,
 )
+AT_WIDE_BASELINES = tuple(
+    tuple(
+        Scenario(
+            f"wide-turn-{side}, {features}",
+            drive(f"wide-turn-{side}", scene="town", turn=side, rate_hz=2.0, seconds=12.0, speed_mps=5.0),
+            CLEAN,
+            MOTION,
+            (f"odometry.features={features}",),
+        )
+        for side in ("left", "right")
+    )
+    for features in ("orb", "klt")
+)
+"""Turns with ORB alone, and with the default features."""
 EXPOSURES = {
     kind: (
         Scenario(
@@ -198,6 +215,11 @@ CROSSED = tuple(
     for speed in (5.0, 12.0)
 )
 APPROACHING = replays((*APPROACHES, *CROSSED), MODEST, OBJECTS)
+COURSE_OBSTACLE = (
+    Scenario(
+        "course obstacle", CoursePair(f"{DATA}/course_stereo"), settings=course.SETTINGS, template=course.TEMPLATE
+    ),
+)
 ALONE_LEADS = replays(
     (
         drive(f"alone-{scene}", scene=scene, lead_brakes=True, seconds=5.0, pitch_std_deg=0.2, **ONE_CAMERA)

@@ -93,6 +93,30 @@ def test_the_chosen_model_is_compared_with_the_better_one(auto, met):
     assert found == Measured(f"10.00 / 2.00 / {100 * auto:.2f} cm", "100.0 %", met)
 
 
+def test_the_chosen_features_are_compared_with_the_others():
+    """They are lost in frames 0 and 2; the others track frames 0 and 1, and are off by 20 % in frame 2."""
+    truth = {"frame": [0, 1, 2], "seed": [7] * 3, "true_step_m": [1.0] * 3}
+    chosen = frames(**truth, step_m=[None, 1.12, None], odometry_status=["lost", "tracked", "lost"])
+    steps_m = {"step_m": [0.9, 1.0, 1.2], "step_error_m": [0.09, 0.0, 0.2]}
+    others = frames(**truth, **steps_m, odometry_status=["tracked"] * 3)
+    found = values.lost_where_others_track(others, chosen)
+    assert found == Value(1, None, "of 2; lost: 66.7 %, 0.0 %")
+    assert values.as_exact(others, chosen) == Measured("10.00 / 12.00 %", "33.3 %", False)
+    assert values.as_exact(chosen, others) == Measured("12.00 / 10.00 %", "100.0 %", True)
+
+
+def test_the_obstacle_has_the_place_and_the_distance_of_the_public_solutions():
+    found = {"label": ["car", "template"], "x_min_px": [0.0, 545.0], "y_min_px": [0.0, 480.0]}
+    tables = objects(found | {"distance_m": [1.0, values.COURSE_DISTANCE_M - 0.002]})
+    assert values.obstacle_place_off(tables) == Value(2.0)
+    assert values.obstacle_off(tables) == Value(pytest.approx(2.0), None, "at (545, 480), 28.9246 m")
+
+
+def test_only_the_last_frames_boundary_is_compared_with_its_line():
+    tables = frames(lane_left_offset_m=[9.0, 1.75], lane_left_raw_offset_m=[1.0, 1.85])
+    assert values.off_own_line(tables) == Value(pytest.approx(10.0))
+
+
 def test_precision_and_recall_use_sums_over_frames():
     tables = frames(filter_tp=[8, 1], filter_fp=[1, 0], filter_fn=[0, 1])
     assert values.precision(tables) == values.recall(tables) == Value(0.9, 1.0)

@@ -20,6 +20,10 @@ CROSSING_NS = 300_000_000
 """Within this time of a crossing the car's own lane is ambiguous, so frames do not count."""
 RESAMPLES, LEVEL = 2000, 0.95
 SLACK = 1.1
+TRACKS = 0.1
+"""Largest error of a step, as a share of it, with which a frame counts as tracked."""
+COURSE_PLACE_PX, COURSE_DISTANCE_M = (547, 479), 28.926553672316352
+"""Position and distance of the obstacle in the public solutions of the course."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,12 @@ def points_right(tables):
     return Value(scores.fill_null(0.0).mean(), scores.count() / len(scores))
 
 
+def off_own_line(tables):
+    """Distance in cm of the last frame's left boundary from the line measured in its image."""
+    last = tables.frames.row(-1, named=True)
+    return Value(100 * abs(last["lane_left_offset_m"] - last["lane_left_raw_offset_m"]))
+
+
 # Surface and motion
 
 
@@ -145,10 +155,13 @@ def error_quantile(tables, column, factor=1, share=0.5):
 
 def by_model(plane, spline, auto, column):
     """Median errors with each model; met if the chosen model is at most SLACK times worse than the better one."""
-    errors = [error_quantile(tables, column, 100) for tables in (plane, spline, auto)]
+    return _compared([error_quantile(tables, column, 100) for tables in (plane, spline, auto)], "cm")
+
+
+def _compared(errors, unit):
     *fixed, chosen = (error.number for error in errors)
     text = " / ".join(f"{error.number:.2f}" for error in errors)
-    return Measured(f"{text} cm", percent(errors[-1].coverage), chosen <= SLACK * min(fixed))
+    return Measured(f"{text} {unit}", percent(errors[-1].coverage), chosen <= SLACK * min(fixed))
 
 
 def _steps(tables):
@@ -184,6 +197,20 @@ def steps_beyond(tables):
 def lost(tables):
     """Share of frames without a motion, in percent."""
     return _share(tables.frames["odometry_status"].eq_missing("lost"))
+
+
+def lost_where_others_track(others, chosen):
+    """Number of frames that are lost although other settings give their step."""
+    right = others.frames.filter(pl.col("step_error_m") < TRACKS * pl.col("true_step_m"))
+    is_lost = pl.col("odometry_status").eq_missing("lost")
+    missed = chosen.frames.filter(is_lost).join(right, on=["replay", "seed", "frame"], how="semi")
+    shares = f"{lost(chosen).number:.1f} %, {lost(others).number:.1f} %"
+    return Value(missed.height, None, f"of {right.height}; lost: {shares}")
+
+
+def as_exact(other, chosen):
+    """Median errors of steps; met if those of the chosen settings are at most SLACK times those of the other ones."""
+    return _compared([step_error(other), step_error(chosen)], "%")
 
 
 def end_error(tables):
@@ -339,6 +366,23 @@ def impact_error(tables, share=0.5):
     rows = _impacts(tables)
     errors_s = (rows["time_to_impact_s"] - rows["true_time_to_impact_s"]).abs()
     return Value(errors_s.quantile(share, "linear"), errors_s.count() / len(errors_s) if len(errors_s) else None)
+
+
+def _obstacle(tables):
+    return tables.objects.filter(pl.col("label") == "template").row(0, named=True)
+
+
+def obstacle_place_off(tables):
+    """Error in pixels of the position of the course's obstacle in the image."""
+    found = _obstacle(tables)
+    return Value(max(abs(found[name] - at) for name, at in zip(("x_min_px", "y_min_px"), COURSE_PLACE_PX, strict=True)))
+
+
+def obstacle_off(tables):
+    """Distance error in mm of the course's obstacle; the detail gives its position."""
+    found = _obstacle(tables)
+    place = f"at ({found['x_min_px']:.0f}, {found['y_min_px']:.0f}), {found['distance_m']:.4f} m"
+    return Value(1000 * abs(found["distance_m"] - COURSE_DISTANCE_M), None, place)
 
 
 # Uncertainty
