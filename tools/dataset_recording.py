@@ -22,7 +22,7 @@ from roadperc_stream.metrics.evidence import rough_ratio
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output.findings import depth_rough
 from roadperc_stream.schemas.record import PIXEL_ORIGIN_KEY
-from roadperc_stream.schemas.roles import REFERENCE_ROLES, ROLES
+from roadperc_stream.schemas.roles import REFERENCE_ROLES
 from roadperc_stream.system.text import number as counted
 from roadperc_stream.system.text import shown
 from roadperc_stream.system.threads import in_order
@@ -35,16 +35,7 @@ from .readers.image_files import UnreadableFrameError
 from .readers.pixel_files import samples_of
 from .readers.sensor_folders import Sensor, of_size
 from .readers.tag_files import LOSSY_TAGS, TagEncoding, choose_table, named_table, tag_encoding
-from .recording import (
-    WORKERS,
-    Recording,
-    SensorRow,
-    camera_facts,
-    channel_of,
-    finding_notes,
-    mounting_fact,
-    static_messages,
-)
+from .recording import WORKERS, Recording, SensorRow, channels_of, finding_notes, rig_facts, static_messages
 
 T = TypeVar("T")
 _TAG_ROLES: Final[tuple[str, ...]] = ("segmentation", "truth_segmentation")
@@ -195,10 +186,8 @@ def _apart_note(source: str, apart_ns: Sequence[int], frames: int) -> str:
 
 
 def _channels(plan: _Plan) -> dict[str, Channel]:
-    """Return the channels of the roles that get messages, in the order of ``ROLES``."""
     rigs = (plan.dataset.rig, *plan.dataset.frame_rigs.values())
-    filled = {role for rig in rigs for role, _ in static_messages(rig, 0)} | set(roles_of(plan.dataset))
-    return {role: channel_of(role, plan.codings.tag_table) for role in ROLES if role in filled}
+    return channels_of(rigs, roles_of(plan.dataset), plan.codings.tag_table)
 
 
 def _messages(plan: _Plan, warnings: list[str]) -> Iterator[tuple[str, Message]]:
@@ -272,9 +261,7 @@ def _facts(plan: _Plan) -> list[tuple[str, str]]:
     dataset, table = plan.dataset, plan.codings.tag_table
     facts = [("time", dataset.timing)]
     facts += [("tags", f"{table.title} ({plan.tag_table_source})")] if table else []
-    facts += camera_facts(dataset.rig)
-    facts += [("pixel origin", dataset.pixel_origin)] if dataset.pixel_origin else []
-    facts.append(mounting_fact(dataset.rig))
+    facts += rig_facts(dataset.rig, dataset.pixel_origin)
     truth = {"surface": dataset.truth.surfaces, "lanes": dataset.truth.lanes, "objects": dataset.truth.objects}
     counts = [f"{name} {len(entries)}" for name, entries in ({"poses": dataset.poses} | truth).items() if entries]
     return facts + ([("truth", ", ".join(counts))] if counts else [])

@@ -53,6 +53,12 @@ class Recording:
     warnings: tuple[str, ...] = ()
 
 
+def channels_of(rigs: Iterable[Rig], roles: Iterable[str], tag_table: TagTable | None = None) -> dict[str, Channel]:
+    """Return the channels of roles and of what the rigs state, in the order of ``ROLES``."""
+    filled = {role for rig in rigs for role, _ in static_messages(rig, 0)} | set(roles)
+    return {role: channel_of(role, tag_table) for role in ROLES if role in filled}
+
+
 def channel_of(role: str, tag_table: TagTable | None = None) -> Channel:
     """Return the channel of a role; that of tags names its table."""
     definition = schema(ROLES[role].schema)
@@ -80,18 +86,15 @@ def straightened(camera: Camera, pixels: NDArray[P], *, nearest: bool = False) -
     return pixels if is_rectified(camera) else resampled(camera, rectified(camera), pixels, nearest=nearest)
 
 
-def camera_facts(rig: Rig) -> list[tuple[str, str]]:
-    """Return name and text of each calibration."""
-    return [(role.replace("_", " "), _camera(camera)) for role, camera in rig.cameras.items()]
-
-
-def mounting_fact(rig: Rig) -> tuple[str, str]:
-    """Return name and text of the mountings."""
+def rig_facts(rig: Rig, pixel_origin: str = "") -> list[tuple[str, str]]:
+    """Return name and text of each calibration, of the pixel origin if it is known, and of the mountings."""
+    facts = [(role.replace("_", " "), _camera(camera)) for role, camera in rig.cameras.items()]
+    facts += [("pixel origin", pixel_origin)] if pixel_origin else []
     edges = [
         f"{edge.parent} -> {edge.child} at {', '.join(f'{value:g}' for value in edge.parent_T_child[:3, 3].round(4))} m"
         for edge in rig.transforms
     ]
-    return "mounting", "; ".join(edges) or "unknown"
+    return [*facts, ("mounting", "; ".join(edges) or "unknown")]
 
 
 def finding_notes(rig: Rig, detections: Iterable[Detection] = ()) -> Iterator[str]:

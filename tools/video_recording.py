@@ -1,16 +1,15 @@
 """Videos of one camera as a recording: one file, or all files of a folder."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 from roadperc_stream.errors import DumpError
 from roadperc_stream.formats.images import encode_jpeg
-from roadperc_stream.log import Message
+from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import Image
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.roles import ROLES
 from roadperc_stream.system.text import shown, whole_number
 from roadperc_stream.system.threads import in_order
 
@@ -21,10 +20,9 @@ from .recording import (
     WORKERS,
     Recording,
     SensorRow,
-    camera_facts,
-    channel_of,
+    channels_of,
     finding_notes,
-    mounting_fact,
+    rig_facts,
     static_messages,
     straightened,
 )
@@ -75,14 +73,14 @@ def recording_of_videos(source: Path, paths: Sequence[Path], options: ConvertOpt
     frames = sum(video.count for video in videos)
     timing = f"stamps of the video, {first.rate_hz:.4g} Hz in the mean"
     stored = f"{', '.join(dict.fromkeys(video.codec for video in videos))}, stored as jpeg {JPEG_QUALITY}"
-    roles = [role for role in ROLES if role == "image" or role in dict(static_messages(rig, EPOCH_NS))]
+    channels = channels_of([rig], ["image"])
     return Recording(
         title=f"{source}: {frames or 'an unknown number of'} frames",
         sensors=tuple(_row(video) for video in videos),
-        facts=(("time", timing), *camera_facts(rig), mounting_fact(rig)),
+        facts=(("time", timing), *rig_facts(rig)),
         frames=frames,
-        channels={role: channel_of(role) for role in roles},
-        messages=lambda warnings: _messages(videos, rig, warnings),
+        channels=channels,
+        messages=lambda warnings: _messages(videos, rig, channels, warnings),
         required=("image",),
         metadata={"time": timing, "encoding.image": stored},
         notes=(*rig.notes, *finding_notes(rig)),
@@ -94,10 +92,12 @@ def _row(video: VideoFile) -> SensorRow:
     return ("image", shown(video.path.name), str(video.count or ""), "", size, f"{video.codec}, stored as jpeg")
 
 
-def _messages(videos: Sequence[VideoFile], rig: Rig, warnings: list[str]) -> Iterator[tuple[str, Message]]:
+def _messages(
+    videos: Sequence[VideoFile], rig: Rig, channels: Mapping[str, Channel], warnings: list[str]
+) -> Iterator[tuple[str, Message]]:
     for role, data in static_messages(rig, EPOCH_NS):
-        yield role, Message(channel_of(role), EPOCH_NS, EPOCH_NS, 0, data)
-    channel, camera = channel_of("image"), rig.cameras["calibration"]
+        yield role, Message(channels[role], EPOCH_NS, EPOCH_NS, 0, data)
+    camera = rig.cameras["calibration"]
 
     def encoded(item: tuple[int, Image]) -> tuple[int, bytes]:
         stamp_ns, pixels = item
@@ -105,7 +105,7 @@ def _messages(videos: Sequence[VideoFile], rig: Rig, warnings: list[str]) -> Ite
         return stamp_ns, encoding.encode_image(stamp_ns, FRONT, "jpeg", jpeg)
 
     for number, (stamp_ns, data) in enumerate(in_order(encoded, _stamped(videos, warnings), WORKERS)):
-        yield "image", Message(channel, stamp_ns, stamp_ns, number, data)
+        yield "image", Message(channels["image"], stamp_ns, stamp_ns, number, data)
 
 
 def _stamped(videos: Sequence[VideoFile], warnings: list[str]) -> Iterator[tuple[int, Image]]:
