@@ -12,12 +12,15 @@ from roadperc_stream.config.complaints import complaint, key_of
 from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.model.tag_tables import UNLABELED, TagTable, table_of_classes
+from roadperc_stream.system.files import read_file
 from roadperc_stream.system.text import nearest
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Side = Annotated[int, Field(ge=1, le=8192)]
 Numbers = tuple[float, float, float]
 _SHOWN: Final = 80
+_MOST_MODEL_BYTES: Final = 2**31
+"""A model in one file is smaller: it is a protobuf message."""
 
 
 class _Keys(BaseModel):
@@ -174,11 +177,10 @@ def read_network(path: Path) -> Network:
         raise ConfigError(f"{path}: {_complaint(error)}") from error
     file = path.parent / keys.file
     try:
-        model = file.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        model = read_file(file, _MOST_MODEL_BYTES)
+    except OSError as error:
         hint = f"; download it from {keys.source}" if keys.source else ""
-        why = error.strerror if isinstance(error, OSError) else error
-        raise ConfigError(f"{file}: {why}, named by {path}{hint}") from error
+        raise ConfigError(f"{file}: {error.strerror or error}, named by {path}{hint}") from error
     digest = hashlib.sha256(model).hexdigest()
     if keys.sha256 not in ("", digest):
         raise ConfigError(

@@ -14,6 +14,8 @@ from roadperc_stream.geometry import Float32
 from .description import Network
 
 _INSTALL: Final = "pip install '.[networks]' in the project's folder"
+_NUMBERS: Final = tuple(f"tensor({kind}" for kind in ("float)", "double)", "float16)", "int", "uint"))
+"""Beginnings of the types that numpy reads."""
 
 
 class Session(Protocol):
@@ -61,7 +63,11 @@ class _OnnxSession:
         except Exception as error:  # its errors have no common class
             raise _unusable(network, f"{self.runtime} cannot load it", error) from error
         self._input = _require_input(network, self._session.get_inputs())
-        self.outputs = _require_outputs(network, [output.name for output in self._session.get_outputs()])
+        kinds = {output.name: output.type for output in self._session.get_outputs()}
+        self.outputs = _require_outputs(network, list(kinds))
+        for name in self.outputs:
+            if not kinds[name].startswith(_NUMBERS):
+                raise ConfigError(f"{network.model_path}: output {name} is {kinds[name]}, expected a tensor of numbers")
 
     def run(self, pixels: Float32) -> list[Float32]:
         """Return the outputs, as ``Session``."""
@@ -119,6 +125,8 @@ def _require_input(network: Network, inputs: Sequence[Any]) -> str:
 
 def _require_outputs(network: Network, names: list[str]) -> list[str]:
     """Return the names of the wanted outputs."""
+    if not names:
+        raise ConfigError(f"{network.model_path}: has no outputs; export the model again")
     missing = [name for name in network.keys.output.names if name not in names]
     if missing:
         raise ConfigError(

@@ -25,12 +25,14 @@ HDF5_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 LAS_MAGIC: Final = b"LASF"
 _DEPTH_CHANNELS: Final = ("depth", "z", "v", "y", "r")
 """Channels of EXR files that hold depth; an earlier one is preferred."""
-_MOST_POINTS: Final = LimitsConfig().points
+_LIMITS: Final = LimitsConfig()
 
 
 def read_exr(path: Path) -> NDArray[Any]:
     """Return the (H, W) depth channel of an EXR file, or its only channel."""
     with _library(path, "OpenEXR") as exr:
+        first, last = exr.File(str(path), header_only=True).header()["dataWindow"]
+        _require_at_most(path, "pixels", last - first + 1, _LIMITS.image_pixels)
         channels = exr.File(str(path), separate_channels=True).channels()
     by_leaf = {name.rpartition(".")[2].lower(): name for name in channels}
     depth = [by_leaf[leaf] for leaf in _DEPTH_CHANNELS if leaf in by_leaf]
@@ -47,7 +49,9 @@ def read_hdf5(path: Path) -> NDArray[Any]:
 
     with _library(path, "h5py") as h5py, h5py.File(path, "r") as file:
         file.visititems(collect)
-        return np.asarray(_only(path, arrays, [name for name in arrays if "depth" in name.lower()])[()])
+        found = _only(path, arrays, [name for name in arrays if "depth" in name.lower()])
+        _require_at_most(path, "pixels", found.shape, _LIMITS.image_pixels)
+        return np.asarray(found[()])
 
 
 def read_las(path: Path, data: bytes) -> NDArray[np.float64]:
@@ -57,11 +61,9 @@ def read_las(path: Path, data: bytes) -> NDArray[np.float64]:
     """
     records = [int.from_bytes(data[100:104], "little") * 54]
     records += [int.from_bytes(data[243:247], "little") * 60] * (data[25:26] >= b"\x04")  # since LAS 1.4
-    if max(records) > len(data):
-        raise UnreadableFrameError(f"{path}: {max(records)} bytes of records, expected at most {len(data)}")
+    _require_at_most(path, "bytes of records", [max(records)], len(data))
     with _library(path, "laspy") as laspy, laspy.open(io.BytesIO(data)) as file:
-        if file.header.point_count > _MOST_POINTS:
-            raise UnreadableFrameError(f"{path}: {file.header.point_count} points, expected at most {_MOST_POINTS}")
+        _require_at_most(path, "points", [file.header.point_count], _LIMITS.points)
         points = file.read()
         return np.column_stack((points.xyz, points.intensity))
 
@@ -86,3 +88,8 @@ def _only(path: Path, arrays: Mapping[str, Any], preferred: Sequence[str]) -> An
     if len(names) != 1:
         raise UnreadableFrameError(f"{path}: expected one array of depth, found {', '.join(names) or 'none'}")
     return arrays[names[0]]
+
+
+def _require_at_most(path: Path, what: str, sides: Sequence[int] | NDArray[Any], limit: int) -> None:
+    if (count := np.prod([float(side) for side in sides])) > limit:
+        raise UnreadableFrameError(f"{path}: {count:.0f} {what}, expected at most {limit}")

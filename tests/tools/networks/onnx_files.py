@@ -25,14 +25,20 @@ def tensor(shape):
     return field(1, field(1, 1) + field(2, b"".join(field(1, field(1, side)) for side in shape)))
 
 
-def model(operation, outputs=("y",)):
-    """A model of one operation on the image."""
-    node = field(1, "image") + field(2, "y") + field(4, operation)
-    infos = [(11, "image"), *((12, name) for name in outputs)]
-    graph = field(1, node) + field(2, "graph")
-    graph += b"".join(field(number, field(1, name) + field(2, tensor(IMAGE))) for number, name in infos)
+def node(operation, inputs=("image",), output="y"):
+    return b"".join([*(field(1, name) for name in inputs), field(2, output), field(4, operation)])
+
+
+def info(number, name, of_type):
+    """A graph's input (11) or output (12); the runtime infers an empty type."""
+    return field(number, field(1, name) + (field(2, of_type) if of_type else b""))
+
+
+def model(*nodes, outputs=("y",), of_type=b""):
+    graph = b"".join(field(1, each) for each in nodes) + field(2, "graph") + info(11, "image", tensor(IMAGE))
+    graph += b"".join(info(12, name, of_type) for name in outputs)
     return field(1, 8) + field(8, field(1, "") + field(2, 17)) + field(7, graph)
 
 
-SAME = model("Relu")
+SAME = model(node("Relu"), of_type=tensor(IMAGE))
 """Its output is the image."""

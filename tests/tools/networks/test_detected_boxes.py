@@ -35,6 +35,7 @@ def described(folder: Path, text: str = TEXT) -> Network:
         ('file = "model.onnx"', "", "file: missing"),
         ("output =", "outputs =", "no key outputs; did you mean output?"),
         ("input", 'sha256 = "' + "0" * 64 + '"\ninput', "download the file again"),
+        ("classes", "strides = [0], classes", "output.strides[0]: "),
         ("model.onnx", "none.onnx", "none.onnx: No such file or directory, named by"),
     ],
 )

@@ -108,3 +108,18 @@ def test_pixels_outside_the_region_and_of_the_bonnet_belong_to_no_class(road, ma
     for mask in (masks.drivable, masks.markings):
         assert not mask[49:].any()
         assert not mask[:, 49:].any()
+
+
+def test_a_marking_at_the_images_edge_stays_inside(road):
+    marking = np.zeros(SIZE, bool)
+    marking[30:, :3] = marking[30:, -3:] = True
+    wide = semantic.with_marking_width(RoadMasks(road, marking), HORIZON, 1.0).markings
+    assert wide[53, 0]
+    assert wide[53, -1]
+    assert not wide[53, 40:60].any()
+
+
+def test_without_corrections_the_masks_stay(road, marking):
+    _, masks = semantic.corrected(keys(), 1.3, HorizonEstimate(), RoadMasks(road, marking), NO_BOXES)
+    assert np.array_equal(masks.drivable, road)
+    assert np.array_equal(masks.markings, marking)

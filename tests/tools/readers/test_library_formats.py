@@ -1,5 +1,6 @@
 """Depth in EXR and HDF5 files, points in LAS files: written by the libraries, read by the converter."""
 
+import io
 import sys
 
 import h5py
@@ -94,3 +95,30 @@ def test_without_the_library_the_error_names_the_command(tmp_path, monkeypatch, 
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(DumpError, match=rf"0\.laz: {name} is not installed; pip install '\.\[recordings\]'"):
         (load_points if name == "laspy" else load_pixels)(path)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda p: exr(p, {"A": DEPTH_M, "B": DEPTH_M}), "expected one array of depth, found A, B"),
+        (lambda p: hdf5(p, {"a": DEPTH_M, "b": DEPTH_M}), "expected one array of depth, found a, b"),
+        (lambda p: hdf5(p, {"colours": np.zeros((2, 3, 3))}), "expected one array of depth, found none"),
+    ],
+)
+def test_several_arrays_are_an_error(tmp_path, make, words):
+    with pytest.raises(UnreadableFrameError, match=words):
+        load_pixels(make(tmp_path / "0.x"))
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    with h5py.File(tmp_path / "0.h5", "w") as file:
+        file.create_dataset("depth", (100_000, 100_000), np.float32, chunks=(10, 10))
+    with pytest.raises(UnreadableFrameError, match="10000000000 pixels, expected at most 40000000"):
+        load_pixels(tmp_path / "0.h5")
+    stream = io.BytesIO()
+    las(np.zeros((4, 3)), np.zeros(4, np.uint16)).write(stream)
+    data = bytearray(stream.getvalue())
+    data[107:111] = (2**31).to_bytes(4, "little")
+    (tmp_path / "0.las").write_bytes(data)
+    with pytest.raises(UnreadableFrameError, match="2147483648 points, expected at most 10000000"):
+        load_points(tmp_path / "0.las")
