@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
+from roadperc_stream import log
 from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
-from tests.tools.dump_writer import camera_pixels, jpeg
+from tests.tools.dump_writer import camera_pixels, document, jpeg
 from tests.tools.test_conversion import failure, payloads, printed_by
 
 COLUMNS, ROWS = 9, 6
@@ -128,3 +129,34 @@ def test_a_wrong_calibration_is_an_error_that_names_the_file(tmp_path, capsys, c
     message = failure(capsys, tmp_path / "shots", tmp_path / "out.mcap", "--calibration", info)
     assert f"{info}: " in message
     assert words in message
+
+
+def test_without_distortion_images_keep_their_bytes(tmp_path):
+    first = jpeg(tmp_path / "shots" / "1.jpg", camera_pixels())
+    info = camera_info(tmp_path / "a.yaml", K, [0.0] * 5, **SMALL)
+    out = tmp_path / "out.mcap"
+    assert main([str(tmp_path / "shots"), str(out), "--quiet", "--calibration", str(info)]) == 0
+    (message,) = log.read(log.summarise(out), topics=["/camera/front/image"])
+    assert first.read_bytes() in message.data
+
+
+@pytest.mark.parametrize("text", ["a: [", "- 1\n- 2\n", "", "\t"])
+def test_what_is_not_a_camera_info_is_named(tmp_path, capsys, text):
+    jpeg(tmp_path / "shots" / "1.jpg", camera_pixels())
+    (tmp_path / "ost.yaml").write_text(text)
+    message = failure(capsys, tmp_path / "shots", tmp_path / "o.mcap", "--calibration", tmp_path / "ost.yaml")
+    assert "ost.yaml" in message
+
+
+def test_the_calibration_of_another_resolution_is_an_error(tmp_path, capsys):
+    jpeg(tmp_path / "shots" / "1.jpg", camera_pixels())
+    info = camera_info(tmp_path / "ost.yaml", K, [0.1] * 5, image_width=32, image_height=24)
+    message = failure(capsys, tmp_path / "shots", tmp_path / "out.mcap", "--calibration", info)
+    assert "image is 16x12, expected 32x24" in message
+
+
+def test_a_json_calibration_may_have_a_lens(tmp_path, capsys):
+    jpeg(tmp_path / "shots" / "1.jpg", camera_pixels())
+    lens = {"K": K.tolist(), "pixel_origin": "centre", "D": [-0.2, 0.1, 0, 0], "distortion_model": "plumb_bob"}
+    document(tmp_path / "shots" / "calibration.json", lens)
+    assert "rectified from plumb_bob" in printed_by(capsys, tmp_path / "shots", tmp_path / "out.mcap")

@@ -386,3 +386,209 @@ def test_truth_travels_beside_noisy_input(dump):
     np.testing.assert_array_equal(found["truth_segmentation"][0][2].tags, np.flip(TAGS, 1))
     assert found["truth_depth"][0][2].depth_m.max() == np.float32(65.535)
     assert found["truth_lanes"][0][2].side("left").offset_m == 1.7
+
+
+def test_frames_missing_in_a_sensor_stay_missing_and_are_counted(dump, capsys):
+    (dump / "depth" / "000001.png").unlink()
+    out = dump.parent / "out.mcap"
+    assert main([str(dump), str(out)]) == 0
+    row = next(line.split() for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["depth"])
+    assert row[1:4] == ["depth", "2", "1"]
+    assert [s for _, s, _ in payloads(out)["depth"]] == [0, 2]
+
+
+def test_partly_paired_stamps_in_names_are_counted(tmp_path, capsys):
+    dump = tum_dump(tmp_path / "dump", (0.004, 0.011, 0.016, 0.004))
+    printed = printed_by(capsys, dump, tmp_path / "dump.mcap")
+    assert re.search(r"^ *depth +depth +4 +2 ", printed, re.MULTILINE)
+    assert (
+        "depth: 2 of 4 images have no file within sync.tolerance_s (0.01 s), the nearest are 0.011 to 0.016 s"
+        in printed
+    )
+
+
+@pytest.mark.parametrize("names", [("1.0001", "1.0002"), ("1.9", "1.10", "1.1")], ids=["too close", "equal"])
+def test_decimal_names_that_may_be_frame_numbers_are_refused(tmp_path, capsys, names):
+    for name in names:
+        write_png(tmp_path / "dump" / "rgb" / f"{name}.png", np.zeros((48, 64, 3), np.uint8))
+    assert f"{names[-1]}.png" in failure(capsys, tmp_path / "dump", tmp_path / "dump.mcap", "--fov", "90")
+
+
+def test_a_rate_where_names_are_stamps_is_refused(tmp_path, capsys):
+    assert main([str(tum_dump(tmp_path / "dump")), str(tmp_path / "out.mcap"), "--rate", "10"]) == 1
+    assert "--rate 10: the names of the files are stamps" in capsys.readouterr().err
+
+
+def test_an_unused_document_is_named(dump, capsys):
+    document(dump / "metadata.json", {"timestamps": [1.0, 2.0, 3.0]})
+    assert "metadata.json is not used: known documents are calibration.json, " in printed_by(
+        capsys, dump, dump.parent / "out.mcap"
+    )
+
+
+def test_kitti_raw_keeps_its_own_dates(tmp_path):
+    dump = tmp_path / "dump"
+    write_png(dump / "image_02" / "data" / "0000000000.png", camera_pixels())
+    (dump / "image_02" / "timestamps.txt").write_text("2011-09-26 13:02:25.964389445\n")
+    ((stamp_ns, _, _),) = payloads(convert(dump, "--fov", "90"))["image"]
+    assert stamp_ns + EPOCH_NS == 1317042145964389445
+
+
+def test_steps_of_frame_numbers_are_noted(tmp_path, capsys):
+    dump = plain_dump(tmp_path / "dump", frames=(142917, 142921, 142925))
+    out = tmp_path / "out.mcap"
+    assert "frame numbers have steps of 4: frames are 0.2 s apart at 20 Hz" in printed_by(capsys, dump, out)
+    assert [t for t, _, _ in payloads(out)["image"]] == [0, 200_000_000, 400_000_000]
+
+
+def test_lossy_input_is_converted_with_a_warning(dump, capsys):
+    for number in range(3):
+        write_png(
+            dump / "depth" / f"{number:06d}.png", np.arange(WIDTH * HEIGHT, dtype=np.uint8).reshape(HEIGHT, WIDTH)
+        )
+        (dump / "segmentation" / f"{number:06d}.png").unlink()
+        jpeg(dump / "segmentation" / f"{number:06d}.jpg", red(TAGS))
+    convert(dump, "--allow-lossy-tags", "--grey-depth", "logarithmic")
+    warnings = capsys.readouterr().err
+    assert "logarithmic grey" in warnings
+    assert "--allow-lossy-tags" in warnings
+
+
+def test_the_same_left_images_are_not_stored_twice(dump):
+    for number in range(3):
+        write_png(dump / "left" / f"{number}.png", camera_pixels(number))
+    assert "left" not in payloads(convert(dump))
+    write_png(dump / "left" / "0.png", camera_pixels(9))
+    found = payloads(convert(dump, "--force"))
+    assert len(found["left"]) == 3
+    assert found["left"][0][2].frame_id == found["left_calibration"][0][2].frame_id == "camera_left"
+
+
+def test_depth_alone_is_enough(tmp_path):
+    dump = tmp_path / "dump"
+    write_png(dump / "depth" / "7.png", carla_codes(depth_m()))
+    found = payloads(convert(dump, "--fov", "90"))
+    assert set(found) == {"calibration", "depth"}
+    assert found["depth"][0][2].frame_id == found["calibration"][0][2].frame_id == "camera_front"
+
+
+def test_labels_of_yolo_are_detections_and_an_image_without_a_file_has_none(tmp_path):
+    for number in (1, 2):
+        write_png(tmp_path / "yolo" / "images" / f"{number}.png", camera_pixels(number))
+    (tmp_path / "yolo" / "labels").mkdir()
+    (tmp_path / "yolo" / "labels" / "1.txt").write_text("1 0.5 0.5 0.5 0.5\n")
+    (tmp_path / "yolo" / "data.yaml").write_text("names: [person, car]\n")
+    first, second = payloads(convert(tmp_path / "yolo", "--fov", "60"))["detections"]
+    assert [(d.label, d.box_px) for d in first[2]] == [("car", Box(4, 3, 12, 9))]
+    assert second[2] == ()
+
+
+def test_the_plan_is_printed_before_writing(dump, capsys):
+    document(dump / "detections.json", {"0": [{"label": "Car", "box_px": [1, 2, 3, 4], "score": 0.5}] * 2})
+    write_png(dump / "sonar" / "0.png", camera_pixels())
+    printed = printed_by(capsys, dump, dump.parent / "no" / "out.mcap")
+    for words in ("png RGB 8 bit", "carla 24 bit", "raw in red", "2 boxes", "20 Hz", "carla-from-0.9.14", "sonar/"):
+        assert words in printed
+    last = printed.splitlines()[-1]
+    assert "messages" in last
+    assert "out.mcap" in last
+
+
+def test_an_output_that_cannot_be_written_is_named(dump, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "in.mcap" in failure(capsys, dump, tmp_path / "file" / "in.mcap", "--quiet")
+    assert "is a folder" in failure(capsys, dump, tmp_path, "--quiet", "--force")
+
+
+def test_only_a_log_is_written_over(dump, tmp_path, capsys):
+    table = tmp_path / "in.metrics.parquet"
+    table.write_bytes(b"a table")
+    assert "expected a name that ends in .mcap" in failure(capsys, dump, table, "--quiet", "--force")
+    assert table.read_bytes() == b"a table"
+
+
+@pytest.mark.parametrize("make", [lambda _: None, lambda path: path.mkdir(), lambda path: path.write_text("")])
+def test_a_path_without_a_dump(tmp_path, capsys, make):
+    make(tmp_path / "dump")
+    assert "dump" in failure(capsys, tmp_path / "dump", tmp_path / "out.mcap")
+
+
+def test_a_role_path_that_does_not_exist_is_a_stated_error(dump, capsys):
+    message = failure(capsys, dump, dump.parent / "out.mcap", "--role", "depth=nowhere")
+    assert "--role depth=nowhere" in message
+
+
+def test_the_log_states_how_it_was_made_without_data_of_the_machine(dump):
+    (record,) = log.summarise(convert(dump)).metadata
+    values = dict(record.values)
+    assert values["encoding.depth"] == "carla 24 bit"
+    assert values["tag_table"] == "carla-from-0.9.14"
+    assert str(dump.parent) not in json.dumps(values)
+
+
+SETS = {
+    "carla_frame": {"image": 1, "calibration": 1, "depth": 1, "segmentation": 1, "detections": 1, "tf": 1},
+    "carla_raw_tags": {"image": 3, "calibration": 1, "segmentation": 3},
+    "course_frames": {"image": 2, "calibration": 1, "segmentation": 2, "detections": 2},
+    "course_stereo": {"image": 1, "calibration": 1, "right": 1, "right_calibration": 1, "tf": 1},
+    "course_odometry": {"image": 16, "calibration": 1},
+}
+
+
+@pytest.fixture(scope="module")
+def real_logs(data_dir, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs")
+    for name in SETS:
+        assert main([str(data_dir / name), str(folder / f"{name}.mcap"), "--quiet"]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_every_recording_converts(real_logs, name):
+    found = payloads(real_logs / f"{name}.mcap")
+    assert {role: len(messages) for role, messages in found.items()} == SETS[name]
+
+
+def test_course_frames_have_their_road_pixels(real_logs):
+    _, _, tags = payloads(real_logs / "course_frames.mcap")["segmentation"][0]
+    assert np.count_nonzero(tags.tags == 7) == 411193
+    assert tags.table.name_of(7) == "road"
+
+
+def test_course_stereo_is_rectified_along_rows(real_logs):
+    found = payloads(real_logs / "course_stereo.mcap")
+    right = found["right_calibration"][0][2]
+    assert right.baseline_m == pytest.approx(0.5)
+    assert (right.fx, right.fy, right.cx, right.cy) == (640, 480, 639.5, 479.5)
+
+
+def test_carla_frame_keeps_both_mountings_and_boxes_outside(real_logs):
+    found = payloads(real_logs / "carla_frame.mcap")
+    heights = {edge.child: edge.parent_T_child[2, 3] for edge in found["tf"][0][2]}
+    assert heights == {"camera_front": 1.7, "camera_depth": 1.5}
+    boxes = [d.box_px.rounded(1024, 768) for d in found["detections"][0][2]]
+    outside = sum(x1 <= x0 or y1 <= y0 for x0, y0, x1, y1 in boxes)
+    assert (len(boxes), outside) == (71, 17)
+
+
+def test_a_lidar_without_mounting_is_noted(tmp_path, capsys):
+    dump = lidar_dump(tmp_path / "dump")
+    printed = printed_by(capsys, dump, tmp_path / "out.mcap")
+    assert "the mounting of the lidar is unknown" in printed
+    assert "lidar: 1 of 4 frames have no image: left out" in printed
+    assert "KITTI velodyne, right-handed" in printed
+
+
+def test_a_lidar_without_frames_of_the_cameras_is_left_out(tmp_path, capsys):
+    dump = lidar_dump(tmp_path / "dump")
+    for number in (0, 1, 2):
+        (dump / "velodyne" / f"{number:06d}.bin").unlink()
+    assert "note: velodyne is left out: none of its 1 frames has an image" in printed_by(
+        capsys, dump, tmp_path / "out.mcap"
+    )
+
+
+def test_a_field_of_view_has_no_pixel_origin(tmp_path, capsys):
+    write_png(tmp_path / "dump" / "rgb" / "1.png", camera_pixels())
+    assert main([str(tmp_path / "dump"), str(tmp_path / "in.mcap"), "--fov", "90"]) == 0
+    assert "pixel origin" not in capsys.readouterr().out

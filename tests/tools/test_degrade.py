@@ -159,3 +159,10 @@ def test_wrong_input_is_one_line(tmp_path, capsys):
     error = capsys.readouterr().err
     assert "did you mean fog?" in error
     assert "no corruption 'snow'; known: gaussian_noise, " in error
+
+
+def test_the_command_says_what_it_wrote(clean, tmp_path, capsys):
+    assert main([str(clean), str(tmp_path / "o.mcap"), "--with", "fog=2"]) == 0
+    line = capsys.readouterr().out
+    assert "fog=2" in line
+    assert str(tmp_path / "o.mcap") in line

@@ -157,3 +157,24 @@ def test_an_interrupted_inference_leaves_no_file(drive):
     error = ran.communicate(timeout=60)[1]
     assert (ran.returncode, error) == (1, "error: interrupted\n")
     assert set(drive.iterdir()) == before
+
+
+def test_detections_that_no_class_can_judge_are_kept_and_counted(drive):
+    paths = [str(drive / name) for name in ("out.mcap", "replayed.mcap")]
+    assert replay.main([*paths, "--only", "objects", "--quiet"]) == 0
+    rows = pl.read_parquet(drive / "replayed.metrics.parquet")
+    assert rows["detections"].min() >= 2
+    assert rows["detections_kept"].to_list() == rows["detections"].to_list() == rows["detections_unjudged"].to_list()
+    assert pl.read_parquet(drive / "replayed.objects.parquet")["class_ratio"].null_count() == rows["detections"].sum()
+
+
+def test_without_onnxruntime_opencv_says_what_to_install(drive, data_dir, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    shutil.copy(data_dir / "networks" / "twinlitenet_preprocessed_quantized_dynamic.onnx", drive / "quantised.onnx")
+    text = (
+        (drive / "twinlitenet.toml").read_text().replace("sha256", "#").replace("twinlitenet.onnx", "quantised.onnx", 1)
+    )
+    (drive / "quantised.toml").write_text(text.replace("[320, 320]", "[320, 160]"))
+    words = drive / "out.mcap", drive / "cv.mcap", "--network", drive / "quantised.toml", "--force"
+    assert main([str(word) for word in words]) == 1
+    assert "pip install '.[networks]'" in capsys.readouterr().err

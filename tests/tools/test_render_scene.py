@@ -359,3 +359,10 @@ def test_a_camera_that_sees_no_sky(tmp_path):
     mount = ("--mount", "1.5,0,1.4,0,-40,0", "--fov", "60")
     options = ("--scene", "straight", "--size", "64x48", "--seconds", "0.5", "--rate", "2", *mount)
     assert main([str(tmp_path / "dump"), *options]) == 0
+
+
+@pytest.mark.parametrize("arguments", [[], ["x", "--size", "big"], ["x", "--mount", "1,2,3"]])
+def test_wrong_usage_is_exit_2(arguments):
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2

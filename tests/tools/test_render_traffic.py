@@ -1,5 +1,7 @@
 """Objects in scenarios with traffic options: path, whole boxes, instance ids."""
 
+import shutil
+
 import cv2
 import numpy as np
 import polars as pl
@@ -98,3 +100,12 @@ def test_instance_masks_go_through_the_log_to_the_frame(rendered, tmp_path):
         ids = sample.frame.instance_image.ids
         assert {o["instance_id"] for o in dump.truth["objects"][name]} <= set(ids.ravel().tolist())
         np.testing.assert_array_equal(ids, picture[..., 1] + 256 * picture[..., 0].astype(int))
+
+
+def test_grey_instance_masks_are_refused(rendered, tmp_path, capsys):
+    dump = rendered("--instances", "--seconds", "2")
+    shutil.copytree(dump.folder, tmp_path / "dump")
+    grey = np.zeros((120, 160), np.uint8)
+    cv2.imwrite(str(tmp_path / "dump" / "instance_segmentation" / "000001.png"), grey)
+    assert convert([str(tmp_path / "dump"), str(tmp_path / "in.mcap")]) == 1
+    assert "000001.png: expected masks as a PNG of red, green and blue" in capsys.readouterr().err

@@ -108,3 +108,31 @@ def test_pixels_that_are_not_square_are_noted_once(fy, notes):
     notes_found = [note for note in found.notes if "differ by more than 5 %" in note]
     assert len(notes_found) == notes
     assert all("fx 640 and fy 480 of calibration.json" in note for note in notes_found)
+
+
+def test_a_depth_camera_with_the_same_mounting_shares_the_front_frame():
+    found = rig(mounting={"rgb": RGB, "depth": RGB})
+    assert set(edges(found)) == {("ego", "camera_front")}
+    assert found.frame_ids["depth"] == "camera_front"
+
+
+def test_without_depth_images_there_is_no_depth_frame():
+    assert set(edges(rig(roles=("image",), rgb_height_m=1.7, depth_height_m=1.5))) == {("ego", "camera_front")}
+
+
+def test_depth_alone_is_the_front_camera():
+    found = rig(roles=("depth",), depth_height_m=1.5)
+    np.testing.assert_allclose(edges(found)["ego", "camera_front"][:3, 3], [0, 0, 1.5])
+    assert found.frame_ids["depth"] == "camera_front"
+
+
+def test_a_left_camera_beside_the_front_one_is_the_pairs_base():
+    mounting = {"rgb": RGB, "left": {**RGB, "y": -0.2}, "right": {**RGB, "y": 0.2}}
+    found = rig(roles=("image", "left", "right"), mounting=mounting)
+    assert found.cameras["right_calibration"].baseline_m == pytest.approx(0.4)
+    assert {child for _, child in edges(found)} == {"camera_front", "camera_left", "camera_right"}
+
+
+def test_an_unknown_size_is_an_error():
+    with pytest.raises(DumpError, match="camera_front: its image size is unknown"):
+        build_rig(CalibrationConfig.model_validate({"fov_deg": 90}), PATH, ("depth",), {})

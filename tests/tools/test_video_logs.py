@@ -185,3 +185,18 @@ def test_other_formats_and_logs_without_video_are_errors(tmp_path, capsys, packe
         assert "foxglove_msgs/msg/CompressedVideo (cdr)" in line
     plain = logs.write(tmp_path / "plain.mcap", logs.items(1))
     assert f"replay it with: roadperc-replay {plain} OUT.mcap" in failure(capsys, plain, tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_codec_that_cannot_be_decoded_is_named(tmp_path, capsys, form):
+    path = log_in(form, tmp_path / "in.mcap", H265[:1], "av1")
+    assert "codec 'av1', expected h264 or h265" in failure(capsys, path, tmp_path / "out.mcap")
+
+
+def test_a_replay_of_video_says_what_to_do(tmp_path, capsys, packets):
+    for name, topic in (("a.mcap", TOPIC), ("b.mcap", "/camera/front/image")):
+        path = write_log(tmp_path / name, packets[:1], topic=topic)
+        assert replay.main([str(path), str(tmp_path / "out.mcap")]) == 1
+        error = capsys.readouterr().err
+        assert topic in error
+        assert f"roadperc-convert {path}" in error

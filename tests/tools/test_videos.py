@@ -1,11 +1,13 @@
 """Videos and plain images become logs, with their own times."""
 
+import json
 import struct
 from itertools import islice
 
 import cv2
 import pytest
 
+from roadperc_stream import log
 from roadperc_stream.cli.convert import main
 from roadperc_stream.geometry import Camera
 from roadperc_stream.tools.video_file import ReadCounts, frames_of, open_video
@@ -147,3 +149,39 @@ def test_a_real_video_is_read(data_dir):
     assert (video.width, video.height, video.rate_hz, video.count, video.codec) == (960, 540, 25.0, 221, "h264")
     frames = [(ns, pixels.shape) for ns, pixels in islice(frames_of(video, ReadCounts()), 5)]
     assert frames == [(40_000_000 * k, (540, 960, 3)) for k in range(5)]
+
+
+def test_videos_of_two_sizes_are_refused(tmp_path, capsys):
+    write_video(tmp_path / "cams" / "a.mp4")
+    write_video(tmp_path / "cams" / "b.mp4", size=(80, 60))
+    message = failure(capsys, tmp_path / "cams", tmp_path / "out.mcap", *FOV)
+    assert "b.mp4: 80x60, expected 160x120 as a.mp4" in message
+
+
+@pytest.mark.parametrize(("name", "fourcc"), [("drive.mkv", "MJPG"), ("drive.avi", "MJPG")])
+def test_a_cut_video_is_converted_as_far_as_it_goes(tmp_path, capsys, name, fourcc):
+    path = write_video(tmp_path / name, frames=40, fourcc=fourcc)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    out = tmp_path / "out.mcap"
+    assert main([str(path), str(out), "--quiet", *FOV]) == 0
+    count = len(payloads(out)["image"])
+    assert 10 < count < 30
+    assert f"{name}: {count} of 40 frames could be read" in capsys.readouterr().err
+
+
+def test_the_log_of_a_video_states_frames_and_encoding(tmp_path):
+    (record,) = log.summarise(convert(write_video(tmp_path / "drive.mp4"), *FOV)).metadata
+    values = dict(record.values)
+    assert (values["frames"], values["encoding.image"]) == ("12", "FMP4, stored as jpeg 95")
+    assert str(tmp_path) not in json.dumps(values)
+
+
+def test_images_of_another_sensor_are_not_taken_for_the_camera(tmp_path, capsys):
+    jpeg(tmp_path / "shots" / "depth_rear" / "1.jpg", camera_pixels())
+    assert "no sensor found" in failure(capsys, tmp_path / "shots", tmp_path / "out.mcap", *FOV)
+
+
+def test_a_height_and_a_mounting_contradict_each_other(tmp_path, capsys):
+    jpeg(tmp_path / "shots" / "1.jpg", camera_pixels())
+    document(tmp_path / "shots" / "calibration.json", {"fov_deg": 90, "mounting": {"rgb": {"z": 1.4}}})
+    assert "remove --height" in failure(capsys, tmp_path / "shots", tmp_path / "out.mcap", "--height", "1.3")

@@ -109,3 +109,10 @@ def test_the_interval_has_the_stated_confidence():
         ratio = ratio_of(base.tolist(), (1.1 * new).tolist(), 0.95)
         held += ratio.low <= 1.1 <= ratio.high
     assert 930 <= held <= 980
+
+
+def test_unknown_logs_are_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        compare.main([str(tmp_path), "main", "--logs", "png,gif"])
+    assert end.value.code == 2
+    assert "expected some of png,jpeg,stereo,truth" in capsys.readouterr().err

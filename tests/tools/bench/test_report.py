@@ -2,6 +2,7 @@
 
 import re
 
+import polars as pl
 import pytest
 
 from roadperc_stream.eval.runs import find_runs
@@ -29,3 +30,11 @@ def test_it_prints_time_memory_and_ratio(tmp_path, capsys):
     text = capsys.readouterr().out
     assert re.search(r"roadperc-report +\d+\.\d +\d+\.\d +\d+ +\d+\.\d\d", text)
     assert re.search(r"plain group-by .* 1\.00", text)
+
+
+def test_tables_are_kept(tmp_path):
+    write_dataset(tmp_path, 1, 10)
+    (path,) = tmp_path.glob("metrics/*/*.parquet")
+    pl.read_parquet(path).head(3).write_parquet(path)
+    write_dataset(tmp_path, 2, 10)
+    assert sorted(pl.read_parquet(path).height for path in tmp_path.glob("metrics/*/*.parquet")) == [3, 10]

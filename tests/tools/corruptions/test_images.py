@@ -116,3 +116,9 @@ def test_numbers_depend_on_seed_stamp_and_role():
     for changes in ({"seed": 2}, {"stamp_ns": 6}, {"role": "right"}):
         assert not np.array_equal(first, corrupted(GREY, "gaussian_noise", 1, **changes))
     assert np.array_equal(corrupted(GREY, "fog", 1), corrupted(GREY, "fog", 1, role="right"))
+
+
+def test_jpeg_becomes_worse():
+    noisy = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
+    errors = [np.abs(corrupted(noisy, "jpeg_compression", s).astype(int) - noisy).mean() for s in range(1, 6)]
+    assert errors == sorted(errors)

@@ -125,3 +125,46 @@ def test_a_dump_one_folder_further_down_is_found_and_said(tmp_path):
     plain_dump(tmp_path / "run" / "second")
     with pytest.raises(DumpError, match=r"2 folders in it hold frames: pass one, such as .*_out"):
         find_dump(tmp_path / "run", {})
+
+
+def test_a_role_option_may_name_the_dump_itself(tmp_path):
+    plain_dump(tmp_path)
+    png(tmp_path / "x_1.png", camera_pixels())
+    layout = find_dump(tmp_path, {"image": tmp_path})
+    assert frames(layout, "image") == [1]
+    assert frames(layout, "depth") == [0, 1, 2]
+
+
+def test_a_single_file_of_a_role_option_is_its_own_frame(tmp_path):
+    plain_dump(tmp_path)
+    scan = tmp_path / "scans" / "000001.ply"
+    scan.parent.mkdir()
+    scan.write_text("ply")
+    assert frames(find_dump(tmp_path, {"lidar": scan}), "lidar") == [1]
+    assert frames(find_dump(tmp_path, {"lidar": scan.rename(scan.with_name("scan.ply"))}), "lidar") == [0]
+
+
+def test_circular_links_are_ignored(tmp_path):
+    (plain_dump(tmp_path) / "poses.json").symlink_to("poses.json")
+    (tmp_path / "lidar").symlink_to("lidar")
+    assert set(find_dump(tmp_path, {}).sensors) == {"image", "depth", "segmentation"}
+
+
+def test_files_without_a_number_are_mentioned(tmp_path):
+    plain_dump(tmp_path)
+    png(tmp_path / "rgb" / "thumbnail.png", camera_pixels())
+    layout = find_dump(tmp_path, {})
+    assert frames(layout, "image") == [0, 1, 2]
+    assert "thumbnail.png" in layout.notes[0]
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(DumpError, match="nowhere: No such file"):
+        find_dump(tmp_path / "nowhere", {})
+
+
+def test_a_link_to_the_folder_itself_is_no_dump_further_down(tmp_path):
+    (tmp_path / "run" / "_out").mkdir(parents=True)
+    (tmp_path / "run" / "_out" / "_out").symlink_to(tmp_path / "run")
+    with pytest.raises(DumpError, match="no sensor found"):
+        find_dump(tmp_path / "run", {})

@@ -135,3 +135,16 @@ def test_the_real_sample_reports_distances_against_labels(data_dir, tmp_path, ca
     assert found["is_true"].all()
     assert found["true_distance_m"].null_count() == 0
     assert found["true_distance_m"].head(3).to_list() == pytest.approx(distances_m, abs=0.06)
+
+
+def test_a_testing_split_has_no_labels(objects, tmp_path, capsys):
+    (objects / "training").rename(objects / "testing")
+    for path in (objects / "testing" / "label_2").iterdir():
+        path.unlink()
+    assert "label_2: 2 of 2 images have no labels" in printed_by(capsys, objects, tmp_path / "out.mcap")
+    assert not {"detections", "truth_objects"} & set(payloads(tmp_path / "out.mcap"))
+
+
+def test_a_frame_needs_its_calibration(objects, tmp_path, capsys):
+    (objects / "training" / "calib" / "000007.txt").unlink()
+    assert "calib/000007.txt" in failure(capsys, objects, tmp_path / "out.mcap")

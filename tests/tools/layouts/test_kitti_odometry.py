@@ -127,7 +127,8 @@ def test_options_that_do_not_fit_are_refused(dataset, tmp_path, capsys):
     assert "no sequence 05; found 00, 11" in failure(capsys, dataset, out, "--sequence", "05")
     assert "--fov is not an option for it" in failure(capsys, dataset, out, "--sequence", "00", "--fov", "90")
     assert "times.txt has the stamps" in failure(capsys, dataset, out, "--sequence", "00", "--rate", "5")
-    assert "--sequence chooses" in failure(capsys, dataset, out, "--layout", "dump", "--sequence", "00")
+    stated = "--sequence chooses a sequence of a dataset, and this is a dump"
+    assert stated in failure(capsys, dataset, out, "--layout", "dump", "--sequence", "00")
     assert "or remove --layout to detect it" in failure(capsys, dataset / "poses", out, "--layout", "kitti-odometry")
     assert len(set(LAYOUTS)) == len(LAYOUTS)
 
@@ -140,3 +141,17 @@ def test_the_real_sequence_has_its_true_poses(data_dir, tmp_path):
     places_m = np.loadtxt(data_dir / "kitti_odometry" / "poses.txt")[:, 3::4]
     origins = [pose.parent_T_child @ (0, 0, 1.65, 1) for _, _, pose in found["truth_pose"]]
     np.testing.assert_allclose(np.array(origins)[:, :3] - (0, 0, 1.65), places_m[:, [2, 0, 1]] * (1, -1, -1), atol=1e-6)
+
+
+def test_missing_images_are_counted(dataset, tmp_path, capsys):
+    (dataset / "sequences/00/image_2/000001.png").unlink()
+    (dataset / "sequences/00/image_3/000001.png").unlink()
+    assert "note: 1 image missing between 0 and 2" in printed_by(
+        capsys, dataset, tmp_path / "out.mcap", "--sequence", "00"
+    )
+
+
+def test_poses_that_are_no_text_are_named(dataset, tmp_path, capsys):
+    (dataset / "poses/00.txt").write_bytes(b"1\xff")
+    said = failure(capsys, dataset, tmp_path / "out.mcap", "--sequence", "00")
+    assert "00.txt: not a text file in UTF-8: invalid start byte at byte 1" in said

@@ -108,3 +108,14 @@ def test_without_their_calibration_lidar_and_poses_are_left_out(day, tmp_path, c
 def test_a_mistake_names_file_and_line(day, tmp_path, capsys, name, line, text, said):
     replaced(day / name, line, text)
     assert said in failure(capsys, day, tmp_path / "out.mcap")
+
+
+def test_a_drive_is_chosen_by_number_or_by_its_folder(day, tmp_path, capsys):
+    (day / "2011_09_26_drive_0001_sync" / "image_02").mkdir(parents=True)
+    (tmp_path / "2011_09_28" / "2011_09_28_drive_0001_sync" / "image_02").mkdir(parents=True)
+    out = tmp_path / "out.mcap"
+    assert "found 0001, 0009; choose one with --sequence" in failure(capsys, day, out)
+    assert NAME in printed_by(capsys, day, out, "--sequence", "0009", "--height", "1.5")
+    again = tmp_path / "again.mcap"
+    assert failure(capsys, tmp_path, again).count("_sync") == 3
+    assert NAME in printed_by(capsys, tmp_path, again, "--sequence", NAME)

@@ -6,12 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
+from roadperc_stream.cli.convert import main
 from roadperc_stream.errors import DumpError
 from roadperc_stream.geometry import Camera, inverse, mounting, project, transform
 from roadperc_stream.tools.layouts import culane, tusimple
 from roadperc_stream.tools.layouts.dataset import ConvertOptions
 from roadperc_stream.tools.layouts.known import KNOWN
 from roadperc_stream.tools.layouts.lane_labels import true_lanes, vanishing_point
+from tests.tools.test_conversion import payloads
 
 CAMERA = Camera("camera_front", 320, 180, 160.0, 160.0, 159.5, 89.5)
 """A field of view of 90 degrees."""
@@ -136,3 +138,25 @@ def test_a_wrong_label_of_tusimple_is_named(tmp_path, lanes, rows, raw_file, wor
     (tmp_path / "label_data_0313.json").write_text(label)
     with pytest.raises(DumpError, match=words):
         read(tusimple, tmp_path)
+
+
+def test_lines_above_the_horizon_or_far_aside_are_no_boundary():
+    lanes = true_lanes([np.array([[10.0, 5.0], [20.0, 9.0], [30.0, 12.0]]), line_px(6.0, 0, 0)], CAMERA, MOUNTED)
+    assert lanes.boundaries == ()
+    assert true_lanes([np.empty((0, 2))], CAMERA, MOUNTED).boundaries == ()
+
+
+@pytest.mark.parametrize("text", ["1 2 3", "1 x", "1 nan"])
+def test_a_wrong_line_of_culane_is_named(tmp_path, text):
+    folder = culane_folder(tmp_path / "c")
+    (folder / "00030.lines.txt").write_text(f"1 2\n{text}\n")
+    with pytest.raises(DumpError, match=r"00030\.lines\.txt: line 2: expected"):
+        read(culane, folder)
+
+
+def test_the_log_has_the_true_lanes(tmp_path):
+    out = tmp_path / "in.mcap"
+    assert main([str(culane_folder(tmp_path / "c")), str(out), "--fov", "90", "--height", "1.4", "--quiet"]) == 0
+    found = payloads(out)
+    assert set(found) == {"image", "calibration", "tf", "truth_lanes"}
+    assert [round(lanes.side("right").offset_m, 2) for _, _, lanes in found["truth_lanes"]] == [-1.9] * 3

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream.cli.convert import main
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.cli.report import main as report_main
 from tests.tools.dump_writer import HEIGHT, TAGS, WIDTH, alpha, camera_pixels, jpeg, png
 from tests.tools.test_conversion import convert, failure, payloads, printed_by
 
@@ -248,3 +250,12 @@ def test_theta_of_the_course_of_2020_is_the_direction_of_motion(data_dir, tmp_pa
         off_deg += [np.rad2deg(np.arctan2(way[1], way[0]))] if np.linalg.norm(way) > 2 else []
     assert len(off_deg) > 40
     assert np.median(np.abs(off_deg)) < 0.1
+
+
+@pytest.mark.parametrize("name", ["nuscenes_sample", "carla_leaderboard/route_00"])
+def test_samples_convert_replay_and_report(data_dir, tmp_path, name, capsys):
+    source, result = tmp_path / "in.mcap", tmp_path / "out.mcap"
+    assert main([str(data_dir / name), str(source), "--quiet"]) == 0
+    assert replay_main([str(source), str(result), "--quiet", "--frames", "4", "--only", "surface"]) == 0
+    assert report_main([str(result)]) == 0
+    assert "surface" in capsys.readouterr().out

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from roadperc_stream.errors import DumpError
-from roadperc_stream.geometry.cameras import pinhole_of_K
+from roadperc_stream.geometry.cameras import pinhole_of_fov, pinhole_of_K
 from roadperc_stream.input.projections import decompose_pair
 from roadperc_stream.tools.readers.calibration_file import load_calibration
 from tests.tools.dump_writer import document
@@ -71,3 +71,15 @@ def test_malformed_values_name_file_and_key(tmp_path, content, fault):
 def test_matrices_without_a_baseline_are_refused(left, right, fault):
     with pytest.raises(DumpError, match=fault):
         decompose_pair("calibration.json", np.array(left, float), np.array(right, float))
+
+
+def test_field_of_view_agrees_with_K():
+    assert pinhole_of_fov(90.0, 1280, 960) == pinhole_of_K(np.array(K, float), "corner")
+
+
+def test_notes_are_ignored_and_known_keys_read(tmp_path):
+    content = {"K": K, "note": "hello", "depth_encoding": "x", "rate_hz": 10, "mounting": {"rgb": {"z": 1.5}}}
+    found = load_calibration(document(tmp_path / "calibration.json", content))
+    assert found.rate_hz == 10
+    assert found.mounting["rgb"].z == 1.5
+    assert found.pixel_origin == "corner"

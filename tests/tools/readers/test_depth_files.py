@@ -211,3 +211,44 @@ def test_a_cut_off_depth_is_unknown(tmp_path):
     path = png(tmp_path / "0.png", np.array([[0, 51, 255]], np.uint8))
     np.testing.assert_allclose(depth_metres(load_pixels(path), "linear grey to 50 m"), [[np.nan, 10.0, np.nan]])
     np.testing.assert_allclose(depth_metres(load_pixels(path), "linear grey to 1000 m"), [[np.nan, 200.0, 1000.0]])
+
+
+def test_millimetres_of_larger_integers_need_no_option(tmp_path):
+    path = npy(tmp_path / "0.npy", np.array([[0, 70_000]], np.int32))
+    assert depth_encoding([path]) == "millimetres"
+    np.testing.assert_allclose(depth_metres(load_pixels(path), "millimetres"), [[np.nan, 70.0]], rtol=1e-6)
+
+
+def test_ambiguous_files_get_the_encoding_of_their_type(tmp_path):
+    """Black PNGs and zeros in .npy have no known depth in any encoding."""
+    empty = [npy(tmp_path / f"{k}.npy", np.zeros((2, 2))) for k in range(2)]
+    black = [png(tmp_path / f"{k}.png", np.zeros((2, 2, 3), np.uint8)) for k in range(2)]
+    assert depth_encoding(empty) == "metres"
+    assert depth_encoding(black) == "carla 24 bit"
+    assert np.isnan(depth_metres(load_pixels(black[0]), "carla 24 bit")).all()
+
+
+@pytest.mark.parametrize("metres", [1.0, 1.001])
+def test_one_is_the_far_plane_and_beyond_it_are_metres(tmp_path, metres):
+    path = npy(tmp_path / "0.npy", np.array([[0.0, 0.2, metres]]))
+    assert depth_encoding([path]) == ("metres / 1000" if metres == 1.0 else "metres")
+
+
+def test_unknown_numbers_are_not_a_number(tmp_path):
+    path = npy(tmp_path / "0.npy", np.array([[np.nan, 0.0, -1.0, 5.0]]))
+    np.testing.assert_array_equal(depth_metres(load_pixels(path), "metres"), [[np.nan, np.nan, np.nan, 5.0]])
+
+
+def test_a_near_frame_in_metres_keeps_the_encoding(tmp_path):
+    near = npy(tmp_path / "0.npy", np.full((2, 2), 0.8))
+    far = npy(tmp_path / "1.npy", np.full((2, 2), 8.0))
+    assert depth_encoding([near, far]) == "metres"
+    np.testing.assert_allclose(depth_metres(load_pixels(near), "metres"), 0.8, rtol=1e-6)
+
+
+@pytest.mark.parametrize("asked", CODINGS)
+def test_the_chosen_coding_is_used(tmp_path, asked):
+    road = Road(width=320, height=240)
+    path, _ = grey(tmp_path / "0.png", "logarithmic", road)
+    found, why = grey_encoding([path], road.camera, asked)
+    assert (found, why.endswith(f"--depth-coding {asked}")) == (GREY_ENCODINGS[asked], True)

@@ -107,3 +107,19 @@ def test_a_line_that_is_no_box_of_yolo_is_named(tmp_path, line, expected):
     path.write_text(f"0 0.5 0.5 0.1 0.1\n{line}\n")
     with pytest.raises(DumpError, match=rf"0\.txt: line 2: expected ({expected})"):
         load_labels({0: path}, [0], (640, 480))
+
+
+@pytest.mark.parametrize("line", ["Car 1 2 3", "Car 0 0 0 a 2 3 4 0 0 0 0 0 0 0", "Car 0 0 0 nan 2 3 4 0 0 0 0 0 0 0"])
+def test_kitti_faults_name_the_line(tmp_path, line):
+    path = tmp_path / "000003.txt"
+    path.write_text(f"\n{line}\n")
+    with pytest.raises(DumpError, match=r"000003\.txt: line 2: "):
+        load_labels({3: path}, [3], (640, 480))
+
+
+def test_a_file_without_names_of_classes_is_an_error(tmp_path):
+    (tmp_path / "data.yaml").write_text("names: 3")
+    path = tmp_path / "0.txt"
+    path.write_text("0 0.5 0.5 0.1 0.1\n")
+    with pytest.raises(DumpError, match=r"data\.yaml: expected names"):
+        load_labels({0: path}, [0], (640, 480))

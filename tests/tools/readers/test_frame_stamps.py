@@ -87,3 +87,8 @@ def test_faults_name_the_line(tmp_path, text, fault):
     path.write_text(text)
     with pytest.raises(DumpError, match=fault):
         stamps_of_file(path, [0, 1])
+
+
+def test_rate_does_not_drift():
+    stamps = stamps_of_rate([0, 3_000_000], 30.0)
+    assert stamps[3_000_000] - EPOCH_NS == 100_000 * 1_000_000_000

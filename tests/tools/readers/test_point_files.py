@@ -57,6 +57,8 @@ def header_of(shape):
     [
         ("000000.ply", CARLA),
         ("000000.PLY", CARLA),
+        ("1.ply", CARLA.replace("\n", "\r\n")),
+        ("1.ply", CARLA.replace("format", "comment no end_header\nformat")),
         ("1.ply", binary("float", "<f4")),
         ("1.ply", binary("double", "<f8")),
         ("1.ply", binary("float32", "<f4", extra="element face 1\nproperty list uchar int n\n", body=b"\x00" * 9)),
@@ -138,3 +140,9 @@ def test_points_without_intensities_have_three_columns(tmp_path):
     assert load_points(written(tmp_path, "1.npy", npy(LEFT_HANDED[:, :3]))).shape == (2, 3)
     without = CARLA.replace("property float32 I\n", "").replace(" 0.5000\n", "\n").replace(" 0.7500\n", "\n")
     np.testing.assert_allclose(load_points(written(tmp_path, "1.ply", without)), RIGHT_HANDED[:, :3])
+
+
+def test_an_empty_scan_has_no_points(tmp_path):
+    assert load_points(written(tmp_path, "1.ply", binary("float", "<f4", LEFT_HANDED[:0]))).shape == (0, 4)
+    empty = CARLA.partition("end_header\n")[0].replace("vertex 2", "vertex 0") + "end_header\n"
+    assert load_points(written(tmp_path, "2.ply", empty)).shape == (0, 4)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from PIL import Image
 
 from roadperc_stream.errors import ConfigError, DumpError
 from roadperc_stream.formats.images import encode_indices
@@ -177,3 +178,73 @@ def test_a_value_that_a_dataset_lacks_is_named(tmp_path):
     own.write_text("[tags]\nroad = 7\ncar = 19\n")
     with pytest.raises(DumpError, match=r"tag 200 is not in .*own\.toml \(7, 19\); 1 pixels"):
         of_dataset(str(own), path)
+
+
+@pytest.mark.parametrize("table", [CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14], ids=lambda table: table.name)
+def test_every_colour_of_a_table_is_looked_up(tmp_path, table):
+    tags = np.arange(len(table.names), dtype=np.uint8)[None]
+    found = tags_of(
+        load_pixels(png(tmp_path / "0.png", colours(tags, table))), "palette colours", table, allow_lossy=False
+    )
+    assert [table.colours[t] for t in found[0]] == list(table.colours)
+
+
+def test_a_black_frame_does_not_decide(tmp_path):
+    black = png(tmp_path / "0.png", np.zeros((4, 4, 3), np.uint8))
+    palette = png(tmp_path / "1.png", colours(TAGS))
+    assert tag_encoding([black, palette], None, allow_lossy=False)[0] == "palette colours"
+    assert not tags_of(load_pixels(black), "palette colours", NEW, allow_lossy=False).any()
+
+
+def test_colours_and_high_numbers_tell_the_table():
+    assert choose_table("palette colours", (), "seg")[0] is NEW
+    assert choose_table("raw in red", (1, 24), "seg")[0] is NEW
+
+
+def test_lossy_raw_tags_take_what_is_there(tmp_path):
+    path = jpeg(tmp_path / "0.jpg", np.dstack([blocks(np.array([[1, 14], [24, 28]]))] * 3))
+    encoding, _ = tag_encoding([path], None, allow_lossy=True)
+    assert encoding in ("raw in red", "raw grey")
+    found = tags_of(load_pixels(path), encoding, NEW, allow_lossy=True)
+    assert found.max() <= 28
+    assert abs(int(found[8, 24]) - 14) <= 2
+
+
+def test_interlaced_and_small_palettes_are_read(tmp_path):
+    image = Image.fromarray(np.array([[0, 1], [1, 0]], np.uint8), "L").convert("L")
+    image.putpalette([0, 0, 0, 128, 64, 128])
+    image.save(tmp_path / "0.png", bits=1)
+    path = tmp_path / "0.png"
+    assert tag_encoding([path], None, allow_lossy=False)[0] == "palette colours"
+    np.testing.assert_array_equal(
+        tags_of(load_pixels(path), "palette colours", NEW, allow_lossy=False), [[0, 1], [1, 0]]
+    )
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "expected"),
+    [
+        ("cityscapes/gtFine/frankfurt_000000_000294_gtFine_labelIds.png", "cityscapes", {"road", "car", "sidewalk"}),
+        ("cityscapes/gtFine/frankfurt_000000_000294_gtFine_instanceIds.png", "cityscapes", {"road", "car", "sidewalk"}),
+        ("cityscapes/gtFine/frankfurt_000000_000294_gtFine_labelTrainIds.png", "cityscapes-train-ids", {"road", "car"}),
+        ("bdd100k/semseg_mask.png", "bdd100k", {"car", "unlabeled"}),
+        (
+            "bdd100k/lane_gts/fe189115-9981a740.png",
+            "bdd100k-lanes",
+            {"crosswalk", "sidewalk", "road_line", "unlabeled"},
+        ),
+        ("bdd100k/insseg_bitmask.png", "bdd100k-instances", {"car", "unlabeled"}),
+    ],
+)
+def test_real_masks(data_dir, file, name, expected):
+    path = data_dir / "label_masks" / file
+    table, _ = named_table(name)
+    assert expected <= {table.name_of(tag) for tag in np.unique(of_dataset(name, path))}
+
+
+def test_ids_and_instance_ids_of_a_real_frame_are_the_same(data_dir):
+    stem = data_dir / "label_masks/cityscapes/gtFine/frankfurt_000000_000294_gtFine_labelIds.png"
+    both = [
+        of_dataset("cityscapes", stem.with_name(stem.name.replace("label", kind))) for kind in ("label", "instance")
+    ]
+    np.testing.assert_array_equal(*both)

@@ -24,11 +24,16 @@ def test_right_handed_pose_is_carlas_matrix_mirrored(x, y, z, roll, pitch, yaw):
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_a_camera_with_its_nose_up_looks_up():
-    ego_T_camera = camera_mounting(CarlaPose(x=1.0, y=0.5, z=1.4, pitch=10.0))
+@pytest.mark.parametrize(
+    ("pitch", "yaw", "looks"),
+    [(10.0, 0.0, [np.cos(np.radians(10)), 0.0, np.sin(np.radians(10))]), (0.0, 90.0, [0.0, -1.0, 0.0])],
+    ids=["up", "right"],
+)
+def test_a_camera_looks_where_it_is_turned(pitch, yaw, looks):
+    ego_T_camera = camera_mounting(CarlaPose(x=1.0, y=0.5, z=1.4, pitch=pitch, yaw=yaw))
     ahead = transform(ego_T_camera, np.array([0.0, 0.0, 1.0])) - ego_T_camera[:3, 3]
     np.testing.assert_allclose(ego_T_camera[:3, 3], [1.0, -0.5, 1.4])
-    np.testing.assert_allclose(ahead, [np.cos(np.radians(10)), 0.0, np.sin(np.radians(10))], atol=1e-12)
+    np.testing.assert_allclose(ahead, looks, atol=1e-12)
 
 
 EXPECTED = {7: CarlaPose(x=1, y=2, z=3, roll=4, pitch=5, yaw=6)}

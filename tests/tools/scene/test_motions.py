@@ -125,3 +125,19 @@ def test_it_weaves_with_a_limited_slope(speed_mps, weave_m, slope):
     sideways_m = [ego.pose(t)[1, 3] - MIDDLE_M for t in times_s]
     assert max(np.abs(sideways_m)) <= weave_m + 1e-9
     assert [ego.pose(t)[0, 3] for t in (0.0, 3.0)] == pytest.approx([0.0, 3.0 * speed_mps], abs=1e-6)
+
+
+def test_a_queue_stands_and_goes_again_and_again():
+    ego, _ = queue(5.0, 40.0)
+    speeds = np.array([ego.at(float(t))[1] for t in np.arange(0.0, 40.0, 0.05)])
+    stands = speeds < 1e-9
+    assert 0.1 < stands.mean() < 0.6
+    assert np.sum(np.diff(stands.astype(int)) == 1) >= 3
+    assert speeds.max() == pytest.approx(5.0)
+
+
+def test_a_static_car_stands_in_the_centre_of_its_lane():
+    ego = Ego(SCENE, 8.0, 0.7, static=True)
+    for time_s in (0.0, 5.0):
+        np.testing.assert_allclose(ego.pose(time_s)[:3, 3], [0.0, MIDDLE_M, 0.0], atol=1e-9)
+        assert heading(ego, time_s) == 0.0

@@ -57,3 +57,10 @@ def test_grades_reach_eight_percent_and_level_ground_is_level():
     terrain = rolling_ground(1000.0, 240.0, 0.08)
     assert np.abs(np.diff(terrain.z_m) / 2).max() == pytest.approx(0.08, abs=1e-4)
     assert LEVEL_GROUND.height(np.array([3.0, 4.0])).tolist() == [0.0, 0.0]
+
+
+def test_town_bends_both_ways_and_stays_within_thirty_degrees():
+    path = make_scene(RenderOptions(scene="town"), 500.0).path
+    _, _, heading = path.pose(np.arange(0.0, 1500.0))
+    assert np.degrees(heading).max() == pytest.approx(30, abs=0.5)
+    assert np.degrees(heading).min() == pytest.approx(-30, abs=0.5)
