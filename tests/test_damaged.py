@@ -1,15 +1,20 @@
 """Replays of damaged logs: whole frames are replayed, and losses are reported."""
 
 import shlex
+from random import Random
 
 import polars as pl
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.api import frames
 from roadperc_stream.cli.info import main as info_main
+from roadperc_stream.cli.replay import main as replay_main
+from roadperc_stream.cli.view import main as view_main
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import LogError
-from roadperc_stream.log import Message
+from roadperc_stream.errors import ChannelError, LogError
+from roadperc_stream.input.source import LossTimes
+from roadperc_stream.log import Channel, LostSpan, Message
 from roadperc_stream.output.tables import sidecar_path
 from roadperc_stream.system.time import TimeRange
 from tests import logs
@@ -100,6 +105,29 @@ def test_damage_in_the_requested_part_is_an_error(damaged):
             run(damaged, "out", time_range=part)
 
 
+def test_seconds_count_from_the_first_message_that_was_written(tmp_path):
+    large = Message(Channel("/noise", "x"), logs.START_NS - 10**9, 0, 0, Random(0).randbytes(40_000))
+    path = tmp_path / "headless.mcap"
+    with log.LogWriter(path) as writer:
+        writer.write(large)
+        for message in log.read(log.summarise(logs.write(tmp_path / "plain.mcap", logs.items(6)))):
+            writer.write(message)
+    part = TimeRange(start_s=1.1, end_s=1.2)
+    expected, _ = run(path, "whole", time_range=part)
+    path.write_bytes(flipped(path.read_bytes(), 8 * 20_000))  # in the first chunk
+    target, summary = run(path, "out", time_range=part)
+    assert "lost from" in " ".join(summary.warnings)
+    assert rows(target).drop("reasons", "reason_codes").equals(rows(expected).drop("reasons", "reason_codes"))
+
+
+def test_a_lost_calibration_is_reported(whole):
+    path = whole.with_name("headless.mcap")
+    in_first_chunk = log.summarise(whole).source.chunks[0].chunk_start_offset + 100
+    path.write_bytes(flipped(whole.read_bytes(), 8 * in_first_chunk))
+    with pytest.raises(ChannelError, match=rf"^{path}: .*no calibration"):
+        run(path, "out", recover=True)
+
+
 def test_a_cut_log_gives_every_whole_frame(whole):
     content, path = whole.read_bytes(), whole.with_name("cut.mcap")
     for share in (0.3, 0.6, 0.9):
@@ -115,6 +143,23 @@ def test_recover_does_not_change_the_replay_of_a_whole_log(whole):
     target, summary = run(whole, "out", recover=True, strict=True)
     assert plain.read_bytes() == target.read_bytes()
     assert summary.warnings == ()
+
+
+def test_frames_of_a_damaged_log(damaged):
+    given = list(frames(damaged, config=CFG, recover=True))
+    assert len(given) >= FRAMES - 2
+    assert any(reason.source == "log" for frame in given for reason in frame.metrics.reasons)
+
+
+def test_replay_prints_what_was_lost(damaged, capsys):
+    target = damaged.with_name("out.mcap")
+    arguments = [str(damaged), str(target), "--only", "surface"]
+    assert replay_main(arguments) == 1
+    assert "--recover" in capsys.readouterr().err
+    assert replay_main([*arguments, "--recover"]) == 0
+    out = capsys.readouterr().out
+    assert f"warning: {damaged}: damaged at byte" in out
+    assert "warning: lost from 0." in out
 
 
 def test_info_writes_and_reports_a_repaired_log(damaged, capsys):
@@ -137,6 +182,30 @@ def test_info_writes_and_reports_a_repaired_log(damaged, capsys):
     assert info_main([str(damaged), "--recover", str(target), "--force"]) == 0
 
 
+def test_info_cannot_recover_a_log_without_a_whole_message(tmp_path, whole, capsys):
+    path = tmp_path / "stump.mcap"
+    path.write_bytes(whole.read_bytes()[:60])
+    assert info_main([str(path), "--recover", str(tmp_path / "out.mcap")]) == 1
+    assert "no message can be saved" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@pytest.mark.parametrize("more", [["--json"], ["--topic", "image=/a"], ["other.mcap"]])
+def test_info_recovers_one_log_without_other_options(damaged, more, capsys):
+    with pytest.raises(SystemExit) as exited:
+        info_main([str(damaged), *more, "--recover", "out.mcap"])
+    assert exited.value.code == 2
+
+
+def test_view_recovers_a_log(damaged, capsys):
+    target = damaged.with_name("view.rrd")
+    assert view_main([str(damaged), "--save", str(target)]) == 1
+    assert "--recover" in capsys.readouterr().err
+    assert view_main([str(damaged), "--save", str(target), "--recover"]) == 0
+    assert "warning: lost from 0." in capsys.readouterr().out
+    assert target.stat().st_size > 1000
+
+
 def with_bad(tmp_path, topic, data):
     """A log whose fourth frame has an unusable message."""
     source = logs.write(tmp_path / "plain.mcap", logs.items(6))
@@ -157,6 +226,31 @@ def test_one_bad_message_is_skipped_unless_strict(tmp_path):
         run(path, "strict", strict=True)
     assert not path.with_name("strict.mcap").exists()
     assert target.exists()
+
+
+def test_strict_stops_at_an_undecodable_image(tmp_path):
+    from roadperc_stream.output import encoding  # noqa: PLC0415 - for this one
+
+    stamp = logs.START_NS + 3 * STEP_NS
+    path, _ = with_bad(tmp_path, "/camera/front/image", encoding.encode_image(stamp, "camera", "png", b"no png"))
+    cfg = load_config()  # odometry looks at the image
+    _, summary = run(path, "out", cfg)
+    assert summary.frames == 6
+    with pytest.raises(LogError, match=rf"bad\.mcap: message with stamp {stamp} ns: image: cannot be decoded"):
+        run(path, "strict", cfg, strict=True)
+
+
+@pytest.mark.parametrize(
+    ("gap", "text"),
+    [
+        (LostSpan(10, 20), "log: messages between 10 and 20 ns were lost to damage"),
+        (LostSpan(10, None), "log: messages from 10 ns on were lost to damage"),
+        (LostSpan(None, 7), "log: messages up to 7 ns were lost to damage"),
+        (LostSpan(None, None), "log: messages were lost to damage at an unknown time"),
+    ],
+)
+def test_the_reason_for_a_gap_names_its_times(gap, text):
+    assert str(LossTimes([gap]).reason(None, 30)) == text
 
 
 def test_losses_continue_in_a_continued_replay(tmp_path):

@@ -6,11 +6,13 @@ from mcap.reader import make_reader
 
 from roadperc_stream import log
 from roadperc_stream.api import replay
+from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.config import load_config
-from roadperc_stream.log import LogWriter, Message, Recovery
+from roadperc_stream.log import Channel, LogWriter, Message, Recovery
 from roadperc_stream.output.tables import sidecar_path
 from tests import logs
 from tests.analytic import STEP_NS, Road
+from tests.log.test_pipes import fed, with_input
 
 OFF = ("odometry", "lanes", "objects", "occupancy")
 CFG = load_config(None, [f"{stage}.enabled=false" for stage in OFF])
@@ -79,6 +81,19 @@ def test_a_frame_cut_by_damage_has_a_reason(recording):
     assert incomplete >= 2
 
 
+def test_the_messages_that_an_error_promises_are_saved(recording):
+    path = recording.with_name("cut.mcap")
+    path.write_bytes(beginning(recording, 0.6))
+    with pytest.raises(log.DamagedLogError, match="all before 0") as caught:
+        log.summarise(path)
+    _, _, rest = caught.value.can_be_saved.partition("all before ")
+    until_ns = logs.START_NS + round(1e9 * float(rest.split(" s")[0]))
+    promised = [m for m in log.read(log.summarise(recording)) if m.log_time_ns < until_ns]
+    saved = list(log.Salvage(path).messages())
+    assert {(m.channel.topic, m.log_time_ns) for m in promised} <= {(m.channel.topic, m.log_time_ns) for m in saved}
+    assert len(promised) > 5
+
+
 @pytest.fixture
 def parts(tmp_path, monkeypatch):
     """A log in three files; the second one is cut."""
@@ -112,3 +127,26 @@ def test_a_repaired_file_among_others_gives_the_same_results(parts):
     target, _ = recovered(parts[0], "from_repaired", repaired, parts[2])
     assert said(target) == said(expected)
     assert target.read_bytes() == expected.read_bytes()
+
+
+def test_a_gap_stays_open_without_a_later_file_of_its_topics(tmp_path):
+    other = Channel("/other", "x")
+    with LogWriter(tmp_path / "other.mcap") as writer:
+        for k in range(3):
+            writer.write(Message(other, logs.START_NS + (6 + k) * STEP_NS, 0, 0, b"x"))
+    path = logs.write(tmp_path / "a.mcap", logs.items(6, TINY))
+    files = [log.summarise(file) for file in (path, tmp_path / "other.mcap")]
+    assert log.gone_on_ns(files[0], files) is None
+    assert log.gone_on_ns(files[1], files) is None
+
+
+def test_info_repairs_a_pipe(tmp_path, monkeypatch):
+    path = logs.write(tmp_path / "in.mcap", logs.items(3, TINY))
+    content = path.read_bytes()[:-200]
+    (tmp_path / "cut.mcap").write_bytes(content)
+    log.write_repaired(tmp_path / "cut.mcap", tmp_path / "expected.mcap")
+    expected = (tmp_path / "expected.mcap").read_bytes()
+    pipe = fed(tmp_path / "standard input", content).open("rb")
+    assert with_input(monkeypatch, pipe, info_main, "--recover", tmp_path / "input.mcap") == 0
+    assert info_main([str(fed(tmp_path / "pipe", content)), "--recover", str(tmp_path / "piped.mcap")]) == 0
+    assert (tmp_path / "input.mcap").read_bytes() == (tmp_path / "piped.mcap").read_bytes() == expected

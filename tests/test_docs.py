@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from roadperc_stream import log
@@ -133,6 +134,32 @@ def test_every_python_example_runs(code, tmp_path):
     shorten(tmp_path / "logs" / "sample.mcap", 0.5)
     (tmp_path / "example.py").write_text(code, encoding="utf-8")
     run(f"{PYTHON} example.py", tmp_path)
+
+
+@pytest.mark.parametrize(("first", "second"), ["ab", "ba"])
+def test_the_example_of_a_dataset_reads_tables_of_several_versions_in_any_order(tmp_path, first, second):
+    """A version without a column writes a table before or after one with it."""
+    (code,) = [text for *_, text in FENCE.findall(TEXTS["evaluation.md"]) if "runs.parquet" in text]
+    folder = tmp_path / "dataset" / "metrics" / "date=2020-01-01"
+    folder.mkdir(parents=True)
+    rows = pl.DataFrame({"log_id": ["x", "x"], "config": ["c", "c"], "lane_left_error_m": [0.25, -0.75]})
+    rows.write_parquet(folder / f"{first}.parquet")
+    rows.drop("lane_left_error_m").with_columns(log_id=pl.lit("y")).write_parquet(folder / f"{second}.parquet")
+    runs = pl.DataFrame({"log_id": ["x", "y"], "config": ["c", "c"], "path": ["p", "q"], "settings": ["", ""]})
+    runs.write_parquet(tmp_path / "dataset" / "runs.parquet")
+    (tmp_path / "example.py").write_text(code)
+    assert re.search(r"x +┆ c +┆ 0\.5 ", run(f"{PYTHON} example.py", tmp_path))
+
+
+def test_type_checkers_see_what_the_examples_import():
+    """Of a package with types, ``from a import b`` in its ``__init__`` is private; ``import b as b`` is public."""
+    sources = [text for page in TEXTS.values() for *_, text in FENCE.findall(page)]
+    found = [re.findall(r"^from (roadperc_stream\.\w+) import (.+)$", text, re.MULTILINE) for text in sources]
+    imports = [(package, name) for of_one in found for package, names in of_one for name in names.split(", ")]
+    assert imports, "no example imports from a package"
+    for package, name in imports:
+        init = ROOT / package.replace(".", "/") / "__init__.py"
+        assert f" import {name} as {name}\n" in init.read_text(encoding="utf-8"), (package, name)
 
 
 @pytest.fixture(scope="module")

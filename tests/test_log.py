@@ -107,6 +107,14 @@ def test_the_error_for_another_file_names_its_command(tmp_path, name, content, c
     assert str(caught.value).endswith(command.format(tmp_path))
 
 
+def test_the_error_for_a_damaged_log_names_roadperc_info(tmp_path):
+    (tmp_path / "my logs").mkdir()
+    path = broken(tmp_path / "my logs", "half")
+    with pytest.raises(LogError) as caught:
+        read_whole(path)
+    assert str(caught.value).endswith(f"; run roadperc-info '{path}' to see what is intact")
+
+
 @pytest.mark.parametrize("options", [{"use_chunking": False}, {"index_types": IndexType.NONE}, {}])
 def test_any_changed_byte_is_found(tmp_path, options):
     options |= {"enable_data_crcs": True, "compression": CompressionType.NONE}

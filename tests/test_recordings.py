@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from roadperc_stream import log
 from roadperc_stream.cli import convert, report
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
@@ -80,6 +81,12 @@ def test_carla_frame_height_and_kept_boxes(replayed, data_dir):
     assert 10 <= objects["kept"].sum() <= 14
 
 
+def test_sidewalks_are_drivable_only_by_setting(replayed):
+    default, _ = replayed("carla_frame")
+    wide, _ = replayed("carla_frame", "--set", 'surface.classes=["road", "road_line", "sidewalk"]')
+    assert wide["drivable_ratio"][0] > default["drivable_ratio"][0] + 0.02
+
+
 def test_carla_rgbd_height_and_pitch(replayed):
     metrics, _ = replayed("carla_rgbd", "--frames", "30")
     assert (metrics["camera_height_m"] - 2.0).abs().le(0.01).sum() >= 29
@@ -92,6 +99,23 @@ def test_carla_rgbd_height_and_pitch(replayed):
         "stereo.no_right_image",
         "surface.no_segmentation_lower_image",
     ]
+
+
+def test_the_pixel_origin_shifts_the_pitch_by_a_tenth_of_a_degree(data_dir, tmp_path, replayed):
+    """With pixel_origin "centre" the pitch of the same frames is larger by 0.11 degrees."""
+    part = ("--frames", "8", "--only", "surface")
+    right, _ = replayed("carla_rgbd", *part)
+    dump = tmp_path / "dump"
+    dump.mkdir()
+    for folder in ("rgb", "depth"):
+        (dump / folder).symlink_to(data_dir / "carla_rgbd" / folder)
+    calibration = json.loads((data_dir / "carla_rgbd" / "calibration.json").read_text())
+    (dump / "calibration.json").write_text(json.dumps(calibration | {"pixel_origin": "centre"}))
+    assert convert.main([str(dump), str(tmp_path / "a.mcap"), "--quiet"]) == 0
+    assert replay_main([str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), "--quiet", *part]) == 0
+    wrong = pl.read_parquet(tmp_path / "b.metrics.parquet")
+    shift = wrong["camera_pitch_deg"].median() - right["camera_pitch_deg"].median()
+    assert shift == pytest.approx(0.11, abs=0.01)
 
 
 def test_the_steps_of_kitti_from_one_camera_of_known_height(data_dir, tmp_path, capsys):
@@ -118,3 +142,11 @@ def test_the_steps_of_kitti_from_one_camera_of_known_height(data_dir, tmp_path, 
     assert within[2] >= 0.98
     assert set(metrics["surface_source"]) == {"estimated"}
     assert metrics["camera_pitch_deg"].median() == pytest.approx(1.07, abs=0.15)
+
+
+def test_a_log_without_images_is_refused(data_dir, tmp_path, capsys):
+    source = data_dir / "mcap" / "example_logs.mcap"
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
+    assert "nothing to replay" in capsys.readouterr().err
+    assert list(log.read(log.summarise(source)))
+    assert list(tmp_path.iterdir()) == []

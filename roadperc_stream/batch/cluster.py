@@ -27,6 +27,9 @@ LOCAL: Final = "local"
 _CLIENT: Final = "ray"
 _CLIENT_PORT: Final = 10001
 _ANSWER_WITHIN_S: Final = 5.0
+_SETTINGS: Final = b"\x04"
+"""The type of each side's first frame in HTTP/2, the protocol of Ray's servers; it follows three bytes of length."""
+_GREETING: Final = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes(3) + _SETTINGS + bytes(5)
 _STATE_EVERY_S: Final = 1.0
 _OBJECTS_BYTES: Final = 100_000_000
 """Ray's object store, of the smallest size: outcomes are small and bypass it."""
@@ -196,10 +199,10 @@ def _line(error: Exception) -> str:
 
 
 def _require_listener(address: str) -> None:
-    """Check at once that something listens at the address; Ray itself tries for minutes.
+    """Check within seconds that a server such as Ray's listens at the address; Ray itself tries for minutes.
 
     Raises:
-        ClusterError: nothing listens at the address, or it is invalid.
+        ClusterError: no such server listens at the address, or it is invalid.
     """
     if address in {LOCAL, "auto"}:
         return
@@ -208,8 +211,12 @@ def _require_listener(address: str) -> None:
         host, port = parts.hostname, parts.port or (_CLIENT_PORT if parts.scheme == _CLIENT else None)
         if parts.scheme in {"", _CLIENT} and host and port:
             try:
-                socket.create_connection((host, port), _ANSWER_WITHIN_S).close()
+                with socket.create_connection((host, port), _ANSWER_WITHIN_S) as connection:
+                    connection.sendall(_GREETING)
+                    answer = connection.recv(4)
             except OSError as error:
                 raise ClusterError(f"--ray {address}: no cluster at this address: {error}") from None
+            if answer[3:4] != _SETTINGS and os.environ.get("RAY_USE_TLS") != "1":
+                raise ClusterError(f"--ray {address}: no cluster at this address: another program listens there")
             return
     raise ClusterError(f"--ray {address}: expected local, auto, HOST:PORT or ray://HOST:PORT")

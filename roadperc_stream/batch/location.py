@@ -108,8 +108,10 @@ class Location:
                 _move(source, Path(self.address))
                 return
             system, path = system_of(self.address)
-            with source.open("rb") as stream, system.open(path, "wb") as target:
-                shutil.copyfileobj(stream, target, _PIECE_BYTES)
+            with source.open("rb") as stream, _complete_or_absent(system, path) as target:
+                while piece := stream.read(_PIECE_BYTES):
+                    target.write(piece)
+                    target.flush()  # S3's client sends in the background: without this, memory grows with the file
             source.unlink()
 
     def remove(self) -> None:
@@ -175,6 +177,23 @@ def _move(source: Path, target: Path) -> None:
         with completing(target, mark=uuid4().hex) as hidden:
             shutil.copyfile(source, hidden)
         source.unlink()
+
+
+@contextmanager
+def _complete_or_absent(system: Any, path: str) -> Iterator[Any]:
+    """A new file of a store, removed after an error: its client completes a file that is closed.
+
+    After its own error, S3's client does not complete the file, and an earlier one stays.
+    """
+    stream = system.open(path, "wb")
+    try:
+        yield stream
+    except BaseException:
+        with suppress(Exception):
+            stream.close()
+            system.rm_file(path)
+        raise
+    stream.close()
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """One batch at a time writes a dataset: a second one ends with an error that names the first."""
 
+import fcntl
 import os
 import socket
 import time
@@ -14,6 +15,7 @@ import psutil
 
 from roadperc_stream.batch.location import Location
 from roadperc_stream.errors import RoadpercError, StorageError
+from roadperc_stream.system.files import target_errors
 
 LOCK: Final = ".lock"
 """The file of a dataset that names the running batch."""
@@ -56,19 +58,44 @@ def dataset_lock(out: Location) -> Iterator[None]:
     """
     if out.is_local and Path(out.address).is_file():
         raise StorageError(f"{out.address}: is a file, expected the folder of a dataset")
-    file = out.at(LOCK)
-    holder = _holder_in(file)
-    if holder is not None and not holder.has_ended:
-        started = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(holder.created_s))
-        who = f"host {holder.host}, process {holder.process}, started {started}"
-        remedy = "" if holder.host == socket.gethostname() else f"; if it was killed, remove {file.address}"
-        raise StorageError(f"{out.address}: another batch writes this dataset: {who}; wait until it ends{remedy}")
-    file.write(msgspec.json.encode(LockHolder.me()))
+    file, mine = out.at(LOCK), msgspec.json.encode(LockHolder.me())
+    with _excluding_others(out):
+        _require_ended(_holder_in(file), file)
+        file.write(mine)
     try:
         yield
     finally:
         with suppress(RoadpercError):
-            file.remove()
+            if file.read() == mine:
+                file.remove()
+
+
+@contextmanager
+def _excluding_others(out: Location) -> Iterator[None]:
+    """Let batches enter the context one after the other. A store and some network file systems cannot do that."""
+    if not out.is_local:
+        yield
+        return
+    folder = Path(out.address)
+    with target_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        number = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(number, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(number)
+
+
+def _require_ended(holder: LockHolder | None, file: Location) -> None:
+    if holder is None or holder.has_ended:
+        return
+    started = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(holder.created_s))
+    who = f"host {holder.host}, process {holder.process}, started {started}"
+    remedy = "" if holder.host == socket.gethostname() else f"; if it was killed, remove {file.address}"
+    dataset = file.address.removesuffix(f"/{LOCK}")
+    raise StorageError(f"{dataset}: another batch writes this dataset: {who}; wait until it ends{remedy}")
 
 
 def _holder_in(file: Location) -> LockHolder | None:

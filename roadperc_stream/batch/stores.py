@@ -22,8 +22,7 @@ from roadperc_stream.system.files import completing
 _S3: Final[dict[str, Any]] = {
     "connect_timeout": 5.0,
     "request_timeout": 10.0,  # the default of one second is too short for a busy store
-    "retry_strategy": AwsStandardS3RetryStrategy(max_attempts=6),
-    "background_writes": False,  # they need memory for all pieces of a file
+    "retry_strategy": AwsStandardS3RetryStrategy(max_attempts=5),  # waits of up to 15 s in all
 }
 """Options of S3's client, which repeats failed requests after growing waits."""
 _GOOGLE_RETRY: Final = timedelta(seconds=10)

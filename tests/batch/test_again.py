@@ -10,6 +10,7 @@ from roadperc_stream.batch.location import Location, find_files
 from roadperc_stream.batch.task import BatchConfiguration, BatchJob, LogFiles, Task
 from roadperc_stream.config import load_config
 from roadperc_stream.system.progress import no_progress
+from roadperc_stream.system.time import TimeRange
 from tests.batch.dataset import batch, runs, statuses, write_log, written
 
 CONFIGURATION = BatchConfiguration(load_config(None))
@@ -28,6 +29,12 @@ def out(tmp_path):
 def task(source, out, scratch=None):
     out.mkdir(exist_ok=True)
     return Task(LogFiles(tuple(find_files(str(source)))), BatchJob(CONFIGURATION, Location(str(out)), scratch=scratch))
+
+
+def test_nearly_equal_numbers_are_different_configurations():
+    ends_s = [0.2, 0.1999999, 0.2000001, 1234.561, 1234.564]
+    configs = [BatchConfiguration(load_config(None), time_range=TimeRange(None, end_s)) for end_s in ends_s]
+    assert len({config.name for config in configs}) == len(ends_s)
 
 
 @pytest.mark.parametrize("change", ["replaced", "cut off"])
@@ -127,3 +134,10 @@ def test_a_list_of_runs_with_wrong_values_or_columns_is_a_one_line_error(source,
         refused = batch(out, source)
         assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
         assert refused.stderr.startswith(f"error: {path}: {error}")
+
+
+def test_an_impossible_scratch_folder_is_an_error_at_once(tmp_path, source, out):
+    (tmp_path / "file").touch()
+    refused = batch(out, source, "--scratch", tmp_path / "file" / "a")
+    assert (refused.returncode, refused.stderr.count("\n")) == (1, 1)
+    assert str(tmp_path / "file") in refused.stderr

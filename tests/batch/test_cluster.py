@@ -5,12 +5,15 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import psutil
 import pytest
 
+from roadperc_stream.batch import cluster
 from roadperc_stream.batch.cluster import RayBackend
 from roadperc_stream.errors import ClusterError
 from tests.batch.dataset import assert_as_single, batch, runs, statuses, write_log
@@ -129,6 +132,21 @@ def test_an_address_without_a_listener(scheme):
         RayBackend(address, 1, 1),
     ):
         pass
+
+
+@pytest.mark.parametrize("scheme", ["", "ray://"])
+@pytest.mark.parametrize(("answer", "why"), [(b"", "timed out"), (b"HTTP/1.1 400", "another program listens there")])
+def test_an_address_with_another_listener(monkeypatch, scheme, answer, why):
+    """Ray itself tries for minutes to join such a server."""
+    monkeypatch.setattr(cluster, "_ANSWER_WITHIN_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as thread:
+        address = f"{scheme}127.0.0.1:{server.getsockname()[1]}"
+        accepted = thread.submit(server.accept)
+        answered = thread.submit(lambda: accepted.result()[0].sendall(answer))
+        with pytest.raises(ClusterError, match=f"^--ray {address}: .*{why}$"), RayBackend(address, 1, 1):
+            pass
+        answered.result()
+        accepted.result()[0].close()
 
 
 def test_without_ray_the_error_has_the_command_to_install_it(folder, tmp_path, monkeypatch):

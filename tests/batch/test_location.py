@@ -1,14 +1,23 @@
 """Files are found, read, written and copied on a disk and in stores; errors are one line with the address."""
 
 import errno
+import glob
 import os
 import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from pathlib import Path
+from unittest.mock import Mock
+from uuid import uuid4
 
 import pytest
+from fsspec.implementations.arrow import ArrowFile
+from fsspec.implementations.memory import MemoryFile
+from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import strategies as st
 
 from roadperc_stream.batch.location import Location, find_files
 from roadperc_stream.errors import RoadpercError, StorageError, TargetError
@@ -17,6 +26,8 @@ from tests.object_store import BreakingProxy
 BIG = os.urandom(1 << 20) * 17
 """More than one piece."""
 NAME = "date=2024-05-01/ä b?[1]%20#.mcap"
+
+
 NAMES = ("a b/ä?[1]%20.mcap", "log10.mcap", "log2.mcap", "2024/5/x.MCAP", "2024/5/x.bag", ".a/t.mcap", ".p.mcap")
 
 
@@ -64,6 +75,32 @@ def test_nothing_found_is_an_error_with_the_address(logs, pattern, why):
     with pytest.raises(StorageError) as caught:
         find_files(f"{logs.address}{pattern}")
     assert str(caught.value) == f"{logs.address}{pattern}: {why}"
+
+
+FOLDERS = st.sampled_from(["a", "b2", "b10", ".h", "[1]", "ä b"])
+PATHS = st.tuples(st.lists(FOLDERS, max_size=3), st.sampled_from(["x.mcap", "b2.mcap", ".y.mcap"]))
+PATTERN_PARTS = st.sampled_from(["*", "**", "a", "b?", "b*", "*.mcap", ".*", "[ab]*", "[!a]*", ".h", "[[]1]", "*2"])
+PATTERNS = st.lists(PATTERN_PARTS, min_size=1, max_size=4).map("/".join)
+
+
+def found_by_glob(root, pattern):
+    """The files that glob finds, and the files in the folders that it finds, without hidden ones."""
+    for name in glob.glob(pattern, root_dir=root, recursive=True):  # noqa: PTH207 - the one that can
+        for path in (root / name, *(root / name).rglob("*")):
+            names = path.relative_to(root).parts
+            if path.is_file() and not any(name.startswith(".") for name in names):
+                yield "/".join(names)
+
+
+@settings(deadline=None)
+@given(paths=st.sets(PATHS.map(lambda path: "/".join((*path[0], path[1]))), max_size=12), pattern=PATTERNS)
+@example(paths={"a/a/.y.mcap", "a/b2.mcap"}, pattern="*/**")
+def test_a_pattern_matches_the_files_of_glob(tmp_path_factory, paths, pattern):
+    root = tmp_path_factory.mktemp("tree")
+    for path in paths:
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).touch()
+    assert set(Location(str(root)).files(".mcap", pattern)) == set(found_by_glob(root, pattern))
 
 
 def test_size_and_fingerprint_are_of_the_content(logs):
@@ -126,6 +163,28 @@ def test_written_files_are_read_listed_and_removed(place):
     assert folder.at(NAME).read() is None
 
 
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
+@given(name=st.lists(st.text("aä .%?*[]=+&#", min_size=1, max_size=6), min_size=1, max_size=3).map("/".join))
+def test_any_name_below_the_folder_is_its_own(place, name):
+    folder = Location(f"{place}/{uuid4().hex}")
+    assume(not {".", ".."} & set(name.split("/")))
+    folder.at(name).write(name.encode())
+    assert folder.at(name).read() == name.encode()
+    folder.at(name).remove()
+    assert folder.at(name).read() is None
+
+
+def test_many_writers_of_one_name_leave_one_whole_file(place):
+    folder = Location(place)
+    texts = [bytes([k]) * 300_000 for k in range(8)]
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(lambda text: folder.at("runs.parquet").write(text), texts * 3))
+    assert folder.at("runs.parquet").read() in texts
+    assert len(folder.files("")) == 1
+    if folder.is_local:
+        assert [path.name for path in Path(folder.address).iterdir()] == ["runs.parquet"]
+
+
 @pytest.mark.parametrize("data", [b"", b"short", BIG], ids=["empty", "short", "big"])
 def test_a_file_is_moved_there_and_fetched(place, tmp_path, data):
     folder, source, target = Location(place), tmp_path / "source", tmp_path / "new" / "log.mcap"
@@ -173,6 +232,17 @@ def test_a_broken_connection_is_repeated(bucket, s3_server, tmp_path, monkeypatc
     assert (tmp_path / "log.mcap").read_bytes() == BIG
 
 
+def test_a_connection_that_always_breaks_is_an_error(bucket, s3_server, tmp_path, monkeypatch):
+    Location(bucket).at(NAME).write(BIG)
+    with BreakingProxy(s3_server.port, after_bytes=100_000, breaks=10**6) as proxy:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
+        with pytest.raises(StorageError) as caught:
+            Location(f"{bucket}/{NAME}").fetch(tmp_path / "log.mcap")
+    assert str(caught.value).startswith(f"{bucket}/{NAME}: ")
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_file_of_another_disk_is_copied(tmp_path, monkeypatch):
     source, replace = tmp_path / "source", Path.replace
 
@@ -199,6 +269,36 @@ def test_an_error_of_the_disk_is_one_line(tmp_path):
         Location(str(tmp_path)).at("folder").read()
 
 
+def test_a_failed_upload_keeps_the_earlier_file(bucket, s3_server, tmp_path, monkeypatch):
+    Location(bucket).at("a").write(b"before")
+    (tmp_path / "source").write_bytes(BIG)
+    with BreakingProxy(s3_server.port, after_bytes=1_000_000, breaks=10**6) as proxy:
+        monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
+        with pytest.raises(StorageError, match=f"^{bucket}/a: .*UploadPart"):
+            Location(bucket).at("a").put(tmp_path / "source")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.url)
+    assert Location(bucket).at("a").read() == b"before"
+    assert (tmp_path / "source").read_bytes() == BIG
+
+
+def test_a_failed_upload_to_another_store_leaves_no_file(tmp_path, monkeypatch):
+    sent = []
+
+    def refused(self, data):
+        sent.append(data)
+        if len(sent) > 1:
+            raise OSError("the store is full")
+        return BytesIO.write(self, data)
+
+    monkeypatch.setattr(MemoryFile, "write", refused, raising=False)
+    (tmp_path / "source").write_bytes(BIG)
+    target = Location(f"memory://{uuid4().hex}/a")
+    with pytest.raises(StorageError, match="the store is full"):
+        target.put(tmp_path / "source")
+    assert target.read() is None
+    assert (tmp_path / "source").exists()
+
+
 def errors_of(address, tmp_path):
     """The errors of finding, fetching, writing and listing in a broken store."""
     (tmp_path / "source").write_bytes(b"x")
@@ -215,6 +315,24 @@ def errors_of(address, tmp_path):
         assert str(caught.value).startswith(address)
         assert "\n" not in str(caught.value)
         yield str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "why"),
+    [("http://127.0.0.1:9", "Could not connect to server"), ("http://no-such.invalid", "Could not resolve host")],
+)
+def test_an_unreachable_store_is_an_error_within_seconds(bucket, tmp_path, monkeypatch, endpoint, why):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
+    begin_s = time.monotonic()
+    with pytest.raises(StorageError, match=why):
+        find_files(f"{bucket}/*.mcap")
+    assert time.monotonic() - begin_s < 20
+
+
+def test_an_invalid_endpoint(bucket, monkeypatch):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "ftp://127.0.0.1")
+    with pytest.raises(StorageError, match="ftp"):
+        find_files(f"{bucket}/*.mcap")
 
 
 def test_a_missing_bucket_and_unknown_keys(bucket, s3_server, tmp_path):
@@ -245,6 +363,27 @@ def test_the_endpoint_for_this_service_comes_first(bucket, s3_server, monkeypatc
     assert len(find_files(bucket)) == 1
 
 
+@pytest.mark.parametrize("end", ["", "os._exit(0)"])
+def test_a_process_that_used_a_store_and_forked_ends(bucket, end):
+    code = f"""
+import os, sys, warnings
+from roadperc_stream.batch.location import Location
+warnings.simplefilter("ignore", DeprecationWarning)  # newer versions of Python warn of a fork with threads
+place = Location({bucket!r})
+place.at("a").write(b"1")
+child = os.fork()
+if child == 0:
+    assert place.at("a").read() == b"1"
+    {end or "pass"}
+else:
+    assert os.waitpid(child, 0)[1] == 0
+    place.at("b").write(b"2")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert Location(bucket).at("b").read() == b"2"
+
+
 def test_an_upload_needs_memory_for_one_piece(bucket, tmp_path):
     code = f"""
 import resource
@@ -259,3 +398,12 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb)
     (tmp_path / "source").write_bytes(BIG * 6)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert int(done.stdout) < 64 << 10
+
+
+def test_an_interrupted_upload_makes_no_file(bucket, tmp_path, monkeypatch):
+    monkeypatch.setattr(ArrowFile, "flush", Mock(side_effect=KeyboardInterrupt))
+    (tmp_path / "source").write_bytes(BIG)
+    with pytest.raises(KeyboardInterrupt):
+        Location(bucket).at("a").put(tmp_path / "source")
+    assert Location(bucket).files("") == {}
+    assert (tmp_path / "source").exists()

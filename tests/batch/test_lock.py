@@ -4,6 +4,11 @@ import os
 import signal
 import socket
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from threading import Barrier, Semaphore, get_ident
 
 import msgspec
 import pytest
@@ -58,6 +63,38 @@ def test_the_lock_of_a_batch_that_has_ended_is_replaced(place, host, process, ag
     with dataset_lock(out):
         assert msgspec.json.decode(out.at(LOCK).read(), type=LockHolder) == LockHolder.me()
     assert out.at(LOCK).read() is None
+
+
+@pytest.mark.parametrize("killed", [False, True], ids=["no lock", "lock of a killed batch"])
+def test_of_batches_that_start_together_one_runs(tmp_path, monkeypatch, killed):
+    """The first one stays until the others have ended."""
+    together, ended, ran, me = Barrier(8), Semaphore(0), [], LockHolder.me()
+    monkeypatch.setattr(LockHolder, "me", lambda: replace(me, created_s=me.created_s + get_ident() % 997 / 1000))
+
+    def start(out):
+        together.wait()
+        with suppress(StorageError), dataset_lock(out):
+            ran.append(out)
+            assert all(ended.acquire(timeout=30) for _ in range(7))
+        ended.release()
+
+    for number in range(10):
+        out = Location(str(tmp_path / str(number)))
+        if killed:
+            out.at(LOCK).write(msgspec.json.encode(replace(me, process=2**22 + 1)))
+        with ThreadPoolExecutor(8) as batches:
+            list(batches.map(start, [out] * 8))
+        assert ended.acquire(timeout=1)
+        assert ran == [out]
+        ran.clear()
+        assert list(Path(out.address).iterdir()) == []
+
+
+def test_a_batch_removes_only_its_own_lock(place):
+    other = msgspec.json.encode(LockHolder("elsewhere", 1, 0.0))
+    with dataset_lock(Location(place)):
+        Location(place).at(LOCK).write(other)
+    assert Location(place).at(LOCK).read() == other
 
 
 def test_a_damaged_lock_is_replaced(place):

@@ -2,6 +2,8 @@
 
 import os
 import stat
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -48,3 +50,13 @@ def test_a_scratch_folder_is_made_for_its_user_alone(tmp_path, task, mask):
     folder = tmp_path / "scratch" / NAME
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert list((tmp_path / "scratch").iterdir()) == [folder] == list(scratch_of(task).parents)[1:2]
+
+
+def test_the_scratch_folder_of_a_store_is_in_the_folder_for_temporary_files(tmp_path, bucket, monkeypatch):
+    source = write_log(tmp_path / "in" / "a.mcap")
+    with TemporaryDirectory() as short:  # pytest's path is too long for sockets
+        monkeypatch.setenv("TMPDIR", short)
+        folder = Path(short) / NAME
+        done = batch(f"{bucket}/out", source, env=os.environ)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700

@@ -43,3 +43,10 @@ def test_a_value_of_an_option(given_option, value, more):
     with folder_of(bases.results()) as folder:
         words = [*command.split(), f"{option}={value}"]
         require_clear_end(folder, *words, *([more] if command.startswith("find") else []))
+
+
+@examples
+@given(st.sampled_from(sorted({command.split()[0] for command in OPTIONS})), st.lists(VALUES, max_size=3))
+def test_any_words(command, words):
+    with folder_of(bases.results()) as folder:
+        require_clear_end(folder, command, *words)

@@ -33,6 +33,10 @@ def test_an_option_of_a_wrong_type_is_named(log, option, words):
         next(rp.frames(log, **option))
 
 
+def test_numpy_integers_are_accepted(log):
+    assert len(list(rp.frames(log, max_frames=np.int64(1)))) == 1
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

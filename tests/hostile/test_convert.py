@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.errors import DumpError
+from roadperc_stream.system.time import NS_PER_S
 from roadperc_stream.tools.readers.frame_stamps import EPOCH_NS, stamps_of_file
 from tests.commands import run_forked, words
 
@@ -83,6 +85,37 @@ def test_stamps_are_found_by_the_name_of_their_column(tmp_path, table, expected)
     assert found == [int(ns) for ns in expected or (TIME_NS, TIME_NS + 5, TIME_NS + 9)]
 
 
+def test_a_table_without_stamps_is_an_error(tmp_path):
+    path = tmp_path / "timestamps.csv"
+    path.write_text("frame,gain\n1,2\n")
+    with pytest.raises(DumpError, match="columns 'frame,gain': expected one of timestamp"):
+        stamps_of_file(path, [1])
+    path.write_text("frame,timestamp\n1,nan\n")
+    with pytest.raises(DumpError, match="line 2: expected a time in column 2"):
+        stamps_of_file(path, [1])
+
+
+def test_the_stamps_of_euroc_are_read(tmp_path):
+    folder = dump(tmp_path / "dump")
+    (folder / "rgb").rename(folder / "data")
+    (folder / "rgb").mkdir()
+    (folder / "data").rename(folder / "rgb" / "data")
+    rows = "".join(f"{TIME_NS + k * NS_PER_S},{k}.png\n" for k in (1, 2, 3))
+    (folder / "rgb" / "data.csv").write_text(f"#timestamp [ns],filename\n{rows}")
+    done = convert(folder)
+    assert done.returncode == 0, done.stderr
+    assert stamps(folder) == [TIME_NS + k * NS_PER_S for k in (1, 2, 3)]
+
+
+def test_unused_files_with_stamps_are_reported(tmp_path):
+    folder = dump(tmp_path / "dump")
+    (folder / "metadata.json").write_text('{"1": {"timestamp": 5}}')
+    (folder / "rgb" / "metadata.json").write_text('{"1": {"timestamp": 5}}')
+    done = convert(folder)
+    assert "metadata.json is not used" in done.stdout
+    assert "rgb/metadata.json is not used: put stamps into timestamps.txt or timestamps.csv" in done.stdout
+
+
 def test_an_interrupted_render_keeps_its_target(tmp_path):
     folder = tmp_path / "dump"
     folder.mkdir()
@@ -97,3 +130,15 @@ def test_an_interrupted_render_keeps_its_target(tmp_path):
     assert (process.returncode, said) == (1, "error: interrupted\n")
     assert list(tmp_path.rglob("*")) == [folder, folder / "truth.json"]
     assert (folder / "truth.json").read_text() == "former"
+
+
+def test_a_render_replaces_an_earlier_one_and_keeps_other_files(tmp_path):
+    folder = tmp_path / "dump"
+    options = ("--size", "64x48", "--seconds", "0.05", "--force")
+    assert run_forked("roadperc-render", folder, *options).returncode == 0
+    (folder / "own.txt").write_text("own")
+    (folder / "truth.json").write_text("former")
+    assert run_forked("roadperc-render", folder, *options).returncode == 0
+    assert (folder / "own.txt").read_text() == "own"
+    assert json.loads((folder / "truth.json").read_text())["lanes"]
+    assert [path.name for path in tmp_path.iterdir()] == ["dump"]

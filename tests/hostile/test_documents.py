@@ -11,7 +11,8 @@ from roadperc_stream.cli import check, compare, find, report, trajectory
 from roadperc_stream.config import load_config
 from roadperc_stream.config.settings import as_typed, settings_in
 from roadperc_stream.errors import ConfigError, TableError
-from roadperc_stream.eval.runs import open_run
+from roadperc_stream.eval.runs import collect, open_run
+from tests.commands import run_forked
 from tests.eval.tables import outcome
 from tests.hostile.inputs import write_log
 
@@ -68,6 +69,12 @@ def test_an_unusable_column_is_named(tmp_path, table, column, values, words):
         open_run(path, "a")
 
 
+def test_a_column_of_nulls_counts_as_missing(tmp_path, table):
+    path = tmp_path / "a.metrics.parquet"
+    table.with_columns(pl.lit(None).alias("odom_x_m")).write_parquet(path)
+    assert run_forked("roadperc-report", path).returncode == 0
+
+
 def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
     plain, nameless, endless = (tmp_path / f"{name}.metrics.parquet" for name in ("plain", "nameless", "endless"))
     pq.write_table(table.to_arrow().replace_schema_metadata(None), plain, store_schema=False)
@@ -87,3 +94,11 @@ def test_a_table_of_another_program_is_read_or_refused(tmp_path, table, capsys):
             code, out, err = outcome(main, capsys, path, *more)
             assert (out, err.count("\n")) == ("", 1)
             assert f"column {column} has rows without a value" in err
+
+
+def test_a_panic_in_polars_is_a_table_error():
+    def panic(_):
+        raise pl.exceptions.PanicException("index out of bounds")
+
+    with pytest.raises(TableError, match=r"a\.parquet: its data cannot be read"):
+        collect(pl.LazyFrame({"a": [1]}).map_batches(panic), "a.parquet")

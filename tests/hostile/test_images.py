@@ -2,6 +2,7 @@
 
 import ast
 import io
+import os
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,9 @@ from PIL import Image as PillowImage
 
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
+from roadperc_stream.output import encoding
+from tests import logs
+from tests.commands import run_forked
 from tests.hostile import inputs
 
 ROOT = Path(__file__).parents[2]
@@ -22,6 +26,40 @@ def packed(name, picture=PICTURE, **options):
     stream = io.BytesIO()
     picture.save(stream, name, **options)
     return stream.getvalue()
+
+
+@pytest.fixture
+def ghostscript(tmp_path):
+    """A ``gs`` that records its start in a file, and an environment whose PATH begins with it."""
+    folder, started = tmp_path / "bin", tmp_path / "started"
+    folder.mkdir()
+    (folder / "gs").write_text(f'#!/bin/sh\necho "$@" >> "{started}"\n')
+    (folder / "gs").chmod(0o755)
+    return started, {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+
+
+@pytest.mark.commands
+@pytest.mark.parametrize("command", ["roadperc-replay in.mcap out.mcap --overlay", "roadperc-convert dump out.mcap"])
+def test_no_command_starts_a_program_for_an_image(tmp_path, ghostscript, command):
+    started, variables = ghostscript
+    picture = encoding.encode_image(logs.START_NS, "camera", "png", inputs.POSTSCRIPT)
+    logs.write(tmp_path / "in.mcap", inputs.replaced("image", picture, frames=1))
+    (tmp_path / "dump" / "rgb").mkdir(parents=True)
+    (tmp_path / "dump" / "rgb" / "1.png").write_bytes(inputs.POSTSCRIPT)
+    (tmp_path / "dump" / "calibration.json").write_text('{"width": 9, "height": 9, "fov_deg": 90}')
+    done = run_forked(*command.split(), cwd=tmp_path, variables=variables)
+    assert not started.exists(), started.read_text()
+    assert "not an image" in done.stdout + done.stderr, done.stdout + done.stderr
+
+
+def test_the_ghostscript_trap_works(ghostscript, monkeypatch):
+    """Pillow without a list of formats starts Ghostscript."""
+    started, variables = ghostscript
+    monkeypatch.setenv("PATH", variables["PATH"])
+    monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)
+    with pytest.raises(OSError), PillowImage.open(io.BytesIO(inputs.POSTSCRIPT)) as picture:  # noqa: PT011
+        picture.load()
+    assert started.exists()
 
 
 @pytest.mark.parametrize("folder", ["roadperc_stream", "tools", "eval"])

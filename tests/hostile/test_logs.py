@@ -2,8 +2,10 @@
 
 import time
 
+import lz4.frame
 import pytest
 import zstandard
+from mcap.writer import IndexType, Writer
 
 from roadperc_stream import log
 from roadperc_stream.config import LimitsConfig
@@ -64,6 +66,35 @@ def test_an_error_about_a_limit_names_the_setting(tmp_path, kind, data):
     assert [len(m.data) for m in log.read(log.summarise(path))] == [3_000_000]
     with pytest.raises(LogError, match=rf"a {kind} of 3 MiB: expected limits\.{kind}_mb 1 at most"):
         list(log.read(log.summarise(path, LimitsConfig(**{f"{kind}_mb": 1}))))
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_chunks_without_a_declared_size_are_read(tmp_path, stated):
+    """lz4 with and without its size; the size is measured before decompression."""
+    data = b"".join(KNOWN) + b"".join(inputs.message(1, 1, bytes(50_000)) for _ in range(100))
+    packed = lz4.frame.compress(data, store_size=stated)
+    path = tmp_path / "in.mcap"
+    path.write_bytes(compressed(packed, "lz4", size=len(data)))
+    assert len(list(log.read(log.summarise(path)))) == 100
+    path.write_bytes(compressed(packed, "lz4", size=len(data) - 1))
+    with pytest.raises(LogError, match="holds more than"):
+        list(log.read(log.summarise(path)))
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_chunk_with_too_many_messages_is_refused(tmp_path, monkeypatch, indexed):
+    path = tmp_path / "in.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=2**30, index_types=IndexType.ALL if indexed else IndexType.NONE)
+        writer.start()
+        channel = writer.register_channel("/a", "json", 0)
+        for k in range(1000):
+            writer.add_message(channel, k, b"", k)
+        writer.finish()
+    assert log.summarise(path).counts == {channel: 1000}
+    monkeypatch.setattr(LimitsConfig, "chunk_messages", 900)
+    with pytest.raises(LogError, match=r"more messages in a chunk than 900"):
+        log.summarise(path)
 
 
 def test_the_limits_hold_during_recovery(tmp_path):

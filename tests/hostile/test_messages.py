@@ -1,5 +1,8 @@
 """Messages beyond a limit are skipped, with a reason that names the limit."""
 
+import time
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +10,12 @@ import pytest
 from roadperc_stream.config import LimitsConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
+from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
+from roadperc_stream.input.transforms import TransformTree
+from roadperc_stream.log import Channel, Message
+from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from tests import logs
 from tests.analytic import box
@@ -47,6 +55,34 @@ def test_an_oversized_image_is_skipped(tmp_path):
     assert "expected limits.image_megapixels 40 at most" in done.stdout
 
 
+def test_an_oversized_calibration_is_refused(tmp_path):
+    """The depth image of a lidar has the size of the calibration."""
+    camera = Camera("camera", 40_000, 40_000, 2e4, 2e4, 2e4, 2e4)
+    points = np.ones((100, 4), np.float32)
+    items = inputs.replaced("calibration", encoding.encode_calibration(STAMP, camera))
+    items = [item for item in items if item.role in ("calibration", "tf", "image")]
+    items += [
+        logs.Item("lidar", i.stamp_ns, encoding.encode_points(i.stamp_ns, "camera", points))
+        for i in items
+        if i.role == "image"
+    ]
+    done = replayed(tmp_path, items)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "calibration of 40000x40000, 1600 megapixels: expected limits.image_megapixels 40 at most" in done.stderr
+
+
+def test_compressed_texts_in_an_image_are_not_expanded():
+    zeros = zlib.compress(bytes(100_000_000), 9)
+    extra = ((b"iCCP", b"x\0\0" + zeros), (b"zTXt", b"c\0\0" + zeros))
+    started = time.process_time()
+    for decoder in (images.decode_bgr, images.decode_indices, images.image_size):
+        try:
+            decoder(inputs.png(32, 24, mode=0, extra=extra))
+        except DecodeError:
+            continue
+    assert time.process_time() - started < 5
+
+
 def of_detections(boxes):
     return "detections", "roadperc.Detections", encoding.encode_detections(STAMP, "camera", boxes)
 
@@ -66,3 +102,21 @@ def test_a_message_beyond_a_limit_is_skipped(monkeypatch, message, limit, found)
     monkeypatch.setattr(LimitsConfig, name, most)
     with pytest.raises(DecodeError, match=rf"{found}: expected {most} at most"):
         read(*message, LimitsConfig())
+
+
+def test_transforms_beyond_the_limit_are_skipped(monkeypatch):
+    """With one edge per message the tree grows up to the limit; further edges are reported once."""
+    edges = [Transform(f"f{k}", f"f{k + 1}", np.eye(4)) for k in range(20_000)]
+    channel = Channel("/tf", "protobuf", "foxglove.FrameTransforms")
+    messages = (Message(channel, k, k, 0, encoding.encode_transforms(k, [edge])) for k, edge in enumerate(edges))
+    monkeypatch.setattr(LimitsConfig, "transforms", 300)
+    problems, started = Problems(), time.process_time()
+    assert len(list(decoded_messages(messages, RoleAssignment({"tf": "/tf"}), problems=problems))) == 300
+    assert "1 transforms to more frames than 300: left out" in problems.first["/tf, in part"]
+    assert time.process_time() - started < 10
+
+
+def test_a_full_tree_still_updates_known_edges():
+    tree = TransformTree().updated([Transform("a", "b", np.eye(4))])
+    again = (Transform("a", "b", np.eye(4)), Transform("a", "c", np.eye(4)))
+    assert [edge.child for edge in tree.fitting(again, 1)] == ["b"]

@@ -76,3 +76,20 @@ def test_impossible_intrinsics_are_refused(entries, fault):
     del without_P.P[:]
     with pytest.raises(DecodeError, match=re.escape(f"calibration of 'right': {fault}")):
         camera_from_calibration(without_P)
+
+
+@pytest.mark.parametrize("K", [{0: np.nan}, {0: -1.0}, {0: 1e-30}, {4: 0.0}, {2: np.inf}, {5: np.nan}])
+def test_an_impossible_lens_only_prevents_rectification(K):
+    """P stays: the image is one of that camera, and who must rectify it says why that cannot be done."""
+    camera = camera_from_calibration(changed(K=K))
+    assert (camera.fx, camera.cy) == (PLAIN.fx, PLAIN.cy)
+    assert lens_fault(camera)[0] == "lens_without_camera_matrix"
+
+
+@pytest.mark.parametrize("entries", [{"D": {1: np.nan}}, {"R": {8: np.nan}}, {"K": {0: np.nan}}])
+def test_equal_invalid_messages_give_equal_cameras(entries):
+    lens = replace(PLAIN, distortion=DISTORTION, lens=Lens(310.0, 311.0, 318.0, 241.0, TURN, "plumb_bob"))
+    first, second = (camera_from_calibration(changed(lens, **entries)) for _ in range(2))
+    assert repr(first) == repr(second)
+    assert first.distortion == second.distortion
+    assert first.lens.R == second.lens.R

@@ -9,6 +9,7 @@ from PIL import Image as PillowImage
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding import Context, decode
+from roadperc_stream.model import Boundary, Lanes, Transform
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
 from roadperc_stream.schemas import roadperc_pb2 as pb
@@ -28,6 +29,19 @@ def test_a_box_that_is_not_finite_is_refused(wild):
         read("detections", "roadperc.Detections", data)
 
 
+def test_a_transform_that_is_not_finite_is_refused():
+    T = np.eye(4)
+    T[0, 3] = np.nan
+    with pytest.raises(DecodeError, match="not finite"):
+        read("tf", "foxglove.FrameTransforms", encoding.encode_transforms(STAMP, [Transform("ego", "c", T)]))
+
+
+def test_boundaries_of_an_unknown_side_are_left_out():
+    message = pb.Lanes(boundaries=[pb.Boundary(side=7), pb.Boundary(side=-1), pb.Boundary(side=2, offset_m=-1.5)])
+    lanes = read("lanes", "roadperc.Lanes", message.SerializeToString()).payload
+    assert [(b.side, b.offset_m) for b in lanes.boundaries] == [("right", -1.5)]
+
+
 def test_a_stamp_beyond_64_bits_is_refused():
     message = pb.Detections()
     message.timestamp.seconds = 2**62
@@ -35,6 +49,18 @@ def test_a_stamp_beyond_64_bits_is_refused():
         read("detections", "roadperc.Detections", message.SerializeToString())
     with pytest.raises(DecodeError, match="does not fit"):
         read("detections", "roadperc.Detections", b"", log_time_ns=2**64 - 1)
+
+
+def test_a_message_without_a_stamp_gets_its_log_time():
+    assert read("detections", "roadperc.Detections", b"", log_time_ns=77).stamp_ns == 77
+
+
+def test_lanes_survive_a_round_trip():
+    line = np.array([[0.0, 1.8, 0.0], [1.0, 1.8, 0.0]])
+    lanes = Lanes((Boundary("left", "measured", None, None, 1.8, 0.1, 0.01, line_ego_m=line, outside="road"),))
+    back = read("lanes", "roadperc.Lanes", encoding.encode_lanes(STAMP, "c", lanes)).payload.side("left")
+    assert (back.offset_m, back.heading, back.curvature_per_m, back.outside) == (1.8, 0.1, 0.01, "road")
+    np.testing.assert_array_equal(back.line_ego_m, line)
 
 
 def packed(image, fmt):

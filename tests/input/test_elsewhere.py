@@ -12,11 +12,14 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from polars.testing import assert_frame_equal
+from scipy.spatial.transform import Rotation
 
 from roadperc_stream import log
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
 from roadperc_stream.formats import images
+from roadperc_stream.geometry import rigid
+from roadperc_stream.input.decoding.payload import pose_matrix
 from roadperc_stream.input.decoding.ros import unpack_image
 from roadperc_stream.model import reason_of
 from roadperc_stream.model.tag_tables import CARLA_FROM_0_9_14 as TABLE
@@ -168,6 +171,44 @@ def kept(path):
     ]
 
 
+IMU = "imu_link"
+EGO_T_IMU = rigid(Rotation.from_euler("zyx", (90, 3, -2), degrees=True).as_matrix(), np.array([-1.5, 0.3, 0.4]))
+
+
+def with_imu(path, messages, *, placed):
+    """A bag whose truth is the pose of an inertial unit; ``placed`` adds its transform to /tf."""
+    with path.open("wb") as stream:
+        made = rosbag.Bag(stream)
+        for message in messages:
+            name, content = in_ros(message, "bgr8")
+            if name == "nav_msgs/msg/Odometry":
+                pose = PoseInFrame.FromString(message.data).pose
+                odom_T_imu = pose_matrix(pose.position, pose.orientation) @ EGO_T_IMU
+                content["child_frame_id"], content["pose"]["pose"] = IMU, rosbag.pose(odom_T_imu)
+            elif name == "tf2_msgs/msg/TFMessage" and placed:
+                edge = {"header": content["transforms"][0]["header"] | {"frame_id": "ego_vehicle"}}
+                place = rosbag.pose(EGO_T_IMU)
+                edge["transform"] = {"translation": place["position"], "rotation": place["orientation"]}
+                content["transforms"].append(edge | {"child_frame_id": IMU})
+            topic = TOPICS[message.channel.topic]
+            made.write(topic if topic == "/tf" else f"/carla/ego_vehicle/{topic}", name, message.log_time_ns, content)
+        made.finish()
+    return path
+
+
+def test_the_true_pose_may_be_of_any_frame_of_the_vehicle(tmp_path, recorded, replayed):
+    found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=True))
+    assert not any("truth" in note for note in summary.notes)
+    assert_frame_equal(rows(found), rows(replayed[1]), abs_tol=1e-9, rel_tol=0)
+
+
+def test_the_pose_of_an_unconnected_frame_is_not_used(tmp_path, recorded):
+    found, summary = run(with_imu(tmp_path / "imu.mcap", recorded, placed=False))
+    topic = "/carla/ego_vehicle/odometry"
+    assert f"{topic}: no transform connects the frame of its poses with ego: not used as truth" in summary.notes
+    assert rows(found)["true_x_m"].null_count() == rows(found)["step_error_m"].null_count() == FRAMES
+
+
 def test_every_message_of_a_bag_is_kept(replayed):
     source, first, _ = replayed
     assert kept(first) == kept(source)
@@ -186,6 +227,22 @@ def test_two_vehicles_are_an_error_until_one_is_chosen(tmp_path, recorded, repla
     chosen = ["--topic", "image=/carla/other/rgb_front/image"]
     assert replay_main([str(source), str(target), *chosen]) == 0
     assert rows(target).equals(rows(replayed[1]), null_equal=True)
+
+
+def test_a_bag_without_calibration_lists_candidates(tmp_path, recorded, capsys):
+    renamed = {"/camera/front/calibration": "rgb_left/camera_info"}
+    source = tmp_path / "bag.mcap"
+    with source.open("wb") as stream:
+        made = rosbag.Bag(stream)
+        for message in recorded:
+            topic = renamed.get(message.channel.topic, TOPICS[message.channel.topic])
+            name, content = in_ros(message, "bgr8")
+            made.write(f"/{topic.strip('/')}", name, message.log_time_ns, content)
+        made.finish()
+    assert replay_main([str(source), str(tmp_path / "out.mcap")]) == 1
+    err = capsys.readouterr().err
+    assert "no calibration" in err
+    assert "role left_calibration: not assigned; candidates: /rgb_left/camera_info (sensor_msgs/msg/CameraInfo)" in err
 
 
 BROKEN = {

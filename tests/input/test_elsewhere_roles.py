@@ -94,6 +94,85 @@ def test_a_calibration_beside_another_camera_is_never_taken(named):
     assert calibrations(channels, **named) == {"calibration": "/robot/cam0/calib"}
 
 
+FRONT, BACK, DEPTH = "/a/rgb", "/b/rgb", "/a/range"
+PLACED = {
+    "one beside two cameras": (ros(s__a=IMAGE, s__b=IMAGE, s__info=INFO), {"image": "/s/a", "right": "/s/b"}, {}),
+    "one beside one of two cameras": (
+        ros(s__a=IMAGE, s__b=IMAGE, s__info=INFO), {"image": "/s/a"}, {"calibration": "/s/info"}
+    ),
+    "by name in one namespace": (
+        ros(s__left_image=IMAGE, s__right_image=IMAGE, s__left_info=INFO, s__right_info=INFO),
+        {"image": "/s/left_image", "right": "/s/right_image"},
+        {"calibration": "/s/left_info", "right_calibration": "/s/right_info"},
+    ),
+    "a namespace before a name": (
+        ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, old__right_info=INFO),
+        {"image": FRONT, "right": BACK},
+        {"calibration": "/a/info", "right_calibration": "/b/info"},
+    ),
+    "a name without a namespace": (
+        ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, old__right_info=INFO),
+        {"image": FRONT, "right": BACK},
+        {"calibration": "/a/info", "right_calibration": "/old/right_info"},
+    ),
+    "a topic without a namespace": (
+        ros(color=IMAGE, other=IMAGE, a__rgb=IMAGE, a__info=INFO, info=INFO),
+        {"image": FRONT, "right": "/other"},
+        {"calibration": "/a/info"},
+    ),
+    "depth beside an image": (
+        ros(a__rgb=IMAGE, a__range=IMAGE, a__info=INFO), {"image": FRONT, "depth": DEPTH}, {"calibration": "/a/info"}
+    ),
+    "depth beside another calibration": (
+        ros(a__rgb=IMAGE, tof__range=IMAGE, a__info=INFO, tof__info=INFO),
+        {"image": FRONT, "depth": "/tof/range"},
+        {"calibration": "/a/info", "depth_calibration": "/tof/info"},
+    ),
+    "depth beside a camera of a pair": (
+        ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__range=IMAGE, b__info=INFO),
+        {"image": FRONT, "right": BACK, "depth": "/b/range"},
+        {"calibration": "/a/info"},
+    ),
+    "one left by another camera": (
+        ros(s__a=IMAGE, s__b=IMAGE, s__c=IMAGE, s__a_info=INFO, s__c_info=INFO),
+        {"image": "/s/a", "right": "/s/b", "calibration": "/s/a_info"},
+        {"calibration": "/s/a_info"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("channels", "named", "expected"), PLACED.values(), ids=PLACED)
+def test_a_calibration_is_that_of_its_namespace_then_of_its_name(channels, named, expected):
+    assert calibrations(channels, **named) == expected
+
+
+@pytest.mark.parametrize(
+    ("channels", "named", "expected"),
+    [
+        (
+            ros(a__rgb=IMAGE, a__info=INFO, b__rgb=IMAGE, b__info=INFO, b__info_rectified=INFO, c__info=INFO),
+            {"image": FRONT, "right": BACK},
+            {"right_calibration": ("/b/info", "/b/info_rectified")},
+        ),
+        (*PLACED["one left by another camera"][:2], {"right_calibration": ("/s/c_info",)}),
+    ],
+    ids=["two beside the camera", "one left by another camera"],
+)
+def test_calibrations_that_may_be_of_the_right_camera_are_candidates(channels, named, expected):
+    assert candidates(channels, assign_roles(channels, named).topics).items() >= expected.items()
+
+
+def test_without_a_known_name_every_image_is_a_candidate():
+    """A topic of a Segway speaks of no segmentation."""
+    channels = ros(segway__left__labels__image=IMAGE)
+    assert candidates(channels, {}) == {"image": ("/segway/left/labels/image",)}
+
+
+def test_the_only_point_cloud_is_the_lidar():
+    channels = ros(cam__image=IMAGE, cam__camera_info=INFO, velodyne_points=CLOUD, radar__points=CLOUD)
+    assert assign_roles(channels, {}).topics["lidar"] == "/velodyne_points"
+
+
 def test_compressed_images_use_the_calibration_of_the_raw_ones():
     channels = ros(a__rgb__compressed="sensor_msgs/msg/CompressedImage", a__info=INFO, b__info=INFO)
     assert calibrations(channels, image="/a/rgb/compressed") == {"calibration": "/a/info"}

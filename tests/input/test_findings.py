@@ -1,5 +1,7 @@
 """Findings that the input alone shows, in a replay, in roadperc-info and in roadperc-convert."""
 
+import json
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -7,13 +9,14 @@ import pytest
 
 from roadperc_stream import replay
 from roadperc_stream.cli.convert import main as convert_main
+from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.cli.render import main as render_main
 from roadperc_stream.config import load_config
 from roadperc_stream.formats import images
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input import ReplaySource, open_input
-from roadperc_stream.input.findings import camera_findings
+from roadperc_stream.input.findings import camera_findings, label_findings
 from roadperc_stream.model import Transform
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from roadperc_stream.output import encoding
@@ -96,6 +99,11 @@ def test_transforms_that_lead_nowhere_are_found(tmp_path, named, code):
         assert all(word in found[code] for word in ("'camera'", repr(named[0][1]), "1.5 m", "--height"))
 
 
+def test_without_transforms_the_height_is_no_contradiction(tmp_path):
+    roles = [role for role in logs.ALL if role != "tf"]
+    assert findings_of(logs.write(tmp_path / "in.mcap", logs.items(frames=1, roles=roles))) == {}
+
+
 def test_a_lidar_without_a_transform_is_found(tmp_path):
     cloud = item("lidar", encoding.encode_points, "velodyne", np.ones((5, 3), np.float32))
     found = findings_of(log_with(tmp_path / "in.mcap", cloud))
@@ -114,6 +122,12 @@ def test_unknown_labels_are_counted_and_mapped(tmp_path):
     assert "2 of 10" in findings_of(source, *known[:2])["labels"]
 
 
+def test_any_number_of_labels_is_one_line():
+    (found,) = label_findings("/boxes", Counter({f"label {k} \x1b" * 99: 1 for k in range(900)}), 900)
+    assert len(found.text) < 900
+    assert found.text.isprintable()
+
+
 def mask(k, tags):
     png = images.encode_indices(tags.astype(np.uint8), TABLE.colours)
     return item("segmentation", encoding.encode_image, "camera", "png", png, k=k)
@@ -128,6 +142,22 @@ def test_odd_tags_are_found(tmp_path, tags, code):
     assert found.keys() == ({code} if code else set())
     if code == "tags":
         assert all(word in found[code] for word in ("24", "50 %", TABLE.name, "tag_table"))
+
+
+def test_info_prints_findings_as_text_and_json(tmp_path, capsys):
+    source = log_with(tmp_path / "in.mcap", edges(("odom", "base_link")))
+    assert info_main([str(source)]) == 0
+    assert "no transform leads" in " ".join(capsys.readouterr().out.split())
+    assert info_main(["--json", str(source)]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["replay"]["findings"]
+    assert found["code"] == "camera_transform"
+
+
+def test_convert_prints_findings_as_notes(data_dir, tmp_path, capsys):
+    assert convert_main([str(data_dir / "carla_rgbd"), str(tmp_path / "in.mcap"), "--fov", "1.2"]) == 0
+    said = capsys.readouterr().out
+    assert "note: field_of_view: camera_front: fx" in said
+    assert "--fov DEGREES" in said
 
 
 def test_the_sample_has_no_finding():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadperc_stream.input.order import OrderConfig, StampOrder
+from roadperc_stream.input.order import OrderConfig, StampOrder, _Segments
 from tests.input.test_sync import CAMERA, MS, item
 
 WAIT_MS = 200
@@ -152,11 +152,59 @@ def test_the_first_of_images_with_equal_stamps_is_used(stamps):
     assert len(left) == len(stamps) - len(given)
 
 
+def test_messages_around_a_segment_start_are_assigned_by_stamp():
+    items = [
+        *arriving(1000, 1050),
+        item("depth", 0, 20),
+        item("image", 0, 21),
+        item("depth", 1050, 22),
+        item("image", 50, 23),
+        item("depth", 50, 24),
+        item("image", 100, 25),
+    ]
+    given, left_out = ordered(items)
+    assert given[:3] == [*images(1000, 1050), (0, "depth", 1050)]
+    assert sorted(given[3:]) == sorted([(1, "depth", 0), (1, "depth", 50), *images(0, 50, 100, segment=1)])
+    assert left_out == []
+
+
 def test_messages_without_images_do_not_wait_forever():
     items = (item("depth", t) for t in range(0, 100_000, 50))
     stream = in_stamp_order(items, CFG, None)
     assert next(stream).stamp_ns == 0
     assert next(items).stamp_ns <= 3 * WAIT_MS * MS
+
+
+def test_equal_log_times_without_images_do_not_pile_up():
+    items = (item("depth", t, 0) for t in range(20_000))
+    next(in_stamp_order(items, CFG, None))
+    assert next(items).stamp_ns <= 10_002 * MS
+
+
+@pytest.mark.parametrize("row", [[], [0, 50]], ids=["no image", "two images"])
+def test_messages_with_earlier_stamps_do_not_wait_forever(row):
+    """Its messages are given as they are, images that may begin a segment go on waiting for a third one."""
+    images_back = [item("image", t, 5050 + t) for t in row]
+    others = [item("depth", t, 5100 + t) for t in range(0, 40_000, 50)]
+    held, most_held = _Segments(CFG, lambda _: None), 0
+    given = list(held.numbered(item("image", 5000)))
+    for one in [*images_back, *others]:
+        given += list(held.numbered(one))
+        most_held = max(most_held, len(held.held))
+    assert most_held <= 10_000 / 50 + 2 + len(row)
+    assert [i.role for i in held.row] == ["image"] * len(row)
+    assert {i.segment for i in given} == {0}
+    if row:
+        (*_, third) = held.numbered(item("image", 100, 45_200))
+        assert (third.role, third.segment) == ("image", 1)
+
+
+def test_a_sensor_that_catches_up_during_a_pause_of_the_images_does_not_wait():
+    held = _Segments(CFG, lambda _: None)
+    times = [*range(0, 500, 50), *range(5000, 30_000, 50)]
+    given = [list(held.numbered(one)) for one in [item("image", 5000), *(item("depth", t, 5000 + t) for t in times)]]
+    assert len(given[-1]) == 1
+    assert held.held == []
 
 
 def image_every_50_ms(*times, late=0):

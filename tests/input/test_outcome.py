@@ -61,6 +61,15 @@ def test_a_continued_segment_is_not_new(begun, said):
     assert len(notes_of(outcome)) == said
 
 
+def test_messages_in_no_frame_give_one_note():
+    outcome = InputOutcome()
+    for role, stamp_ms in [("depth", 3), ("lidar", 4), ("lidar", 54)]:
+        outcome.drop(item(role, stamp_ms))
+    assert notes_of(outcome) == [
+        "messages that belong to no frame: 1 on /depth, stamp 3000000 ns; 2 on /lidar, the first with stamp 4000000 ns"
+    ]
+
+
 def test_the_note_on_a_sensor_in_no_frame_names_the_setting():
     outcome = InputOutcome()
     outcome.add(synced(0, 5, "lidar"), 0, is_written=False)
@@ -108,3 +117,12 @@ def test_the_error_on_an_overlap_names_a_start_that_works(drive, tmp_path, capsy
     replay(tmp_path / "whole.mcap", tmp_path / "out.mcap", CFG)
     assert results([before, after]) == results([tmp_path / "out.mcap"])
     assert rows([before, after], "metrics").equals(rows([tmp_path / "out.mcap"], "metrics"))
+
+
+def test_a_missing_calibration_names_the_next_step(drive, tmp_path, capsys):
+    part = write(tmp_path / "1.mcap", between(drive, 4, 8))
+    assert main([str(part), str(tmp_path / "out.mcap")]) == 1
+    said = capsys.readouterr().err
+    assert "or --topic calibration=/TOPIC; pass the earlier files" in said
+    assert "or pass --continue" in said
+    assert said.endswith("; pass --fov DEGREES or --calibration FILE\n")

@@ -107,6 +107,12 @@ def test_a_lens_is_undone_before_the_chain(tmp_path, plain, camera):
         assert np.abs(picture[..., 0] - 10.0 * SMALL.tags()).mean() < 2
 
 
+def test_a_lens_that_is_unknown_is_reported_and_its_image_used_as_it_is(tmp_path):
+    unknown = replace(BARREL, lens=replace(LENS, model="division"))
+    table, _ = results(recorded(tmp_path / "in.mcap", replace(CAMERA, distortion=(0.1,), lens=unknown.lens)))
+    assert reasons_of(table).count("image.not_rectified") == 4
+
+
 def test_pixels_outside_the_image_are_unknown(tmp_path):
     frame = SMALL.frame(camera=replace(BARREL, fx=60.0, fy=60.0), depth_camera=replace(BARREL, fx=60.0, fy=60.0))
     found = rectified_frame(frame)
@@ -114,6 +120,11 @@ def test_pixels_outside_the_image_are_unknown(tmp_path):
     assert not valid[0, 0]
     assert found.segmentation.tags[0, 0] == 0
     assert np.isnan(found.depth_image.depth_m[0, 0])
+
+
+def test_an_image_of_another_size_keeps_its_size():
+    frame = SMALL.frame(camera=replace(BARREL, width=640, height=480, lens=replace(LENS, fx=300.0, fy=300.0)))
+    assert rectified_frame(frame).segmentation.tags.shape == SMALL.frame().segmentation.tags.shape
 
 
 def test_the_chain_in_python_undoes_a_lens(tmp_path):

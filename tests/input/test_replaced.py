@@ -11,7 +11,7 @@ from roadperc_stream import log
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import ReplayConfig, load_config
 from roadperc_stream.config.calibration import CalibrationConfig
-from roadperc_stream.errors import RoadpercError
+from roadperc_stream.errors import ConfigError, RoadpercError
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import is_result
@@ -20,6 +20,8 @@ from roadperc_stream.input.transforms import LatchedState, TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
+from roadperc_stream.view.rerun.recording import save_recording
+from roadperc_stream.view.result_frames import read_frame
 from tests import logs
 from tests.analytic import box
 from tests.replaying import replay
@@ -97,10 +99,27 @@ def test_a_result_replays_itself_without_the_options(bare, tmp_path):
     assert [item.value for item in given if item.key.startswith("calibration")] == ["60.0", "1.4"]
 
 
+def test_readers_of_a_result_use_its_calibration(bare, tmp_path):
+    """Images are shown as the chain saw them: without the distortion of the given lens."""
+    lens = ("calibration.K=[[160,0,160],[0,160,120],[0,0,1]]", "calibration.D=[-0.3,0.1,0,0,0]")
+    found = {}
+    for name, settings in (("plain", lens[:1]), ("lens", lens)):
+        replay(bare, tmp_path / f"{name}.mcap", load_config(None, settings))
+        found[name] = read_frame(tmp_path / f"{name}.mcap", logs.START_NS, {}).image_bgr
+        assert save_recording(tmp_path / f"{name}.mcap", tmp_path / f"{name}.rrd", {}).frames == 3
+    assert not np.array_equal(found["plain"], found["lens"])
+
+
 def test_a_calibration_of_another_size_is_refused(bare, tmp_path):
     wrong = load_config(None, ("calibration.fov_deg=90", "calibration.width=640", "calibration.height=480"))
     with pytest.raises(RoadpercError, match=r"/camera/front/image: images of 320x240, .* of 640x480"):
         replay(bare, tmp_path / "out.mcap", wrong)
+
+
+def test_info_uses_the_options(bare):
+    cfg = load_config(None, ("calibration.fov_deg=90", "calibration.rgb_height_m=1.4"))
+    (camera,) = examine(bare, {}, cfg).replay.cameras
+    assert (camera.camera.fx, camera.ego_T_camera[2][3]) == (160.0, 1.4)
 
 
 def test_labels_are_known_by_the_configuration(bare, tmp_path):
@@ -113,6 +132,13 @@ def test_labels_are_known_by_the_configuration(bare, tmp_path):
     objects = pl.read_parquet(tmp_path / "out.objects.parquet")
     assert objects["label"].to_list() == ["car", "Pedestrian"]
     assert objects["class_ratio"].null_count() == 0
+
+
+def test_a_wrong_file_of_labels_names_the_known_ones(tmp_path):
+    with pytest.raises(ConfigError, match=r"caar.*bicycle, bus, car"):
+        load_config(None, ("labels.auto=caar",))
+    (tmp_path / "labels.toml").write_text('auto = "car"\n')
+    assert main(["in.mcap", "out.mcap", "--labels", str(tmp_path / "labels.toml")]) == 1
 
 
 def shifted(x, z=0.0):
@@ -146,3 +172,19 @@ def test_a_camera_that_the_log_describes_as_the_front_one_is_replaced_too():
         "left_calibration": 150.0,
     }
     assert found["depth_calibration"].frame_id == "depth"
+
+
+def test_a_pair_is_replaced_as_the_file_says():
+    sensors = {"left": LogSensor("/l", "l", (320, 240)), "right": LogSensor("/r", "r", (320, 240))}
+    given = given_to(sensors, CalibrationConfig(fov_deg=90, baseline_m=0.12, **SIZE), "left")
+    assert given.cameras["right_calibration"].baseline_m == 0.12
+    assert {role: camera.frame_id for role, camera in given.cameras.items()} == {
+        "left_calibration": "l",
+        "right_calibration": "r",
+    }
+
+
+def test_options_replace_the_cameras_and_the_mountings_of_a_record_apart():
+    recorded = CalibrationConfig(K=((1, 0, 2), (0, 1, 2), (0, 0, 1)), rgb_height_m=1.2)
+    assert CalibrationConfig(fov_deg=60).over(recorded) == CalibrationConfig(fov_deg=60, rgb_height_m=1.2)
+    assert CalibrationConfig(rgb_height_m=2).over(recorded) == recorded.model_copy(update={"rgb_height_m": 2.0})

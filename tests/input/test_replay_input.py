@@ -1,5 +1,7 @@
 """A log that is opened for replay: its frames, its messages, what became of them, and what is read how often."""
 
+from dataclasses import replace
+
 import pytest
 
 from roadperc_stream import log
@@ -8,6 +10,8 @@ from roadperc_stream.errors import ChannelError
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.system.time import TimeRange
 from tests import logs
+from tests.analytic import STEP_NS
+from tests.resume.parts import write
 
 CFG = ReplayConfig()
 
@@ -25,6 +29,16 @@ def test_samples_messages_and_counts(source):
     assert list(log_in.messages.copied()) == list(log.read(log.summarise(source)))
     assert log_in.span_ns == (log_in.summary.first_ns, log_in.summary.last_ns)
     assert set(log_in.topics) == set(logs.ALL)
+
+
+def test_every_pass_resets_the_counts(source):
+    bad = logs.Item("depth", logs.items(4)[-1].stamp_ns + 1, b"no depth")
+    source = logs.write(source, [*logs.items(4), bad])
+    log_in = open_input(ReplaySource(source), CFG)
+    for _ in range(2):
+        assert len(list(log_in.samples())) == 4
+        assert log_in.unreadable == {"/camera/front/depth": 1}
+        assert any("/camera/front/depth: message at" in note for note in log_in.notes)
 
 
 def test_dropped_messages_are_recorded(source):
@@ -53,3 +67,26 @@ FRAMES = 3
 
 def opened(source):
     return open_input(ReplaySource(source, time_range=TimeRange(frames=FRAMES)), CFG)
+
+
+def with_late_depth(source, path, frame, by_ns):
+    """The log once more, the depth of a frame so much later."""
+    stamp_ns = logs.START_NS + frame * STEP_NS
+    delays = {("/camera/front/depth", stamp_ns): by_ns}
+    moved = [
+        replace(m, log_time_ns=m.log_time_ns + delays.get((m.channel.topic, m.log_time_ns), 0))
+        for m in log.read(log.summarise(source))
+    ]
+    return write(path, moved)
+
+
+def test_a_late_message_after_the_end_belongs_to_its_frame(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(8))
+    tidy = list(opened(source).samples())
+    late = opened(with_late_depth(source, tmp_path / "late.mcap", FRAMES - 1, 3 * STEP_NS + 1))
+    arrived_ns = logs.START_NS + (FRAMES + 2) * STEP_NS + 1
+    behind = [m for m in late.messages.copied() if m.log_time_ns >= late.messages.end_ns]
+    assert [(m.channel.topic, m.log_time_ns) for m in behind] == [("/camera/front/depth", arrived_ns)]
+    found = list(late.samples())
+    assert [sample.frame.stamp_ns for sample in found] == [sample.frame.stamp_ns for sample in tidy]
+    assert found[-1].frame.depth_image is not None

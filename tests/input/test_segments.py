@@ -7,9 +7,11 @@ import pytest
 from roadperc_stream.cli.check import main as check
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.config import load_config
+from roadperc_stream.errors import LogError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.model.reason import TEMPLATES
 from roadperc_stream.output.tables import sidecar_path, totals
+from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.replaying import replay
@@ -75,6 +77,36 @@ def test_images_with_the_stamp_of_an_earlier_one_are_left_out(case, drive, tidy,
     assert any(f"{IMAGE}: message with stamp" in note and "same stamp" in note for note in summary.notes)
     facts = examine(tmp_path / "in.mcap", {}).replay
     assert (facts.frames, facts.segments, facts.unused["image"]) == (FRAMES, 1, summary.dropped["image"])
+
+
+def test_the_expected_frames_and_the_frames_asked_for_are_without_copies(drive, tmp_path):
+    source, done = write(tmp_path / "in.mcap", copies(drive, 3 * MS, IMAGE)), []
+    replay(source, tmp_path / "out.mcap", CFG, progress=lambda *numbers: done.append(numbers))
+    assert done[-1] == (FRAMES, FRAMES)
+    assert replay(source, tmp_path / "few.mcap", CFG, time_range=TimeRange(frames=5)).frames == 5
+
+
+def test_a_strict_replay_stops_at_a_copy(drive, tmp_path):
+    source = write(tmp_path / "in.mcap", copies(drive, MS, IMAGE))
+    with pytest.raises(LogError, match=f"{IMAGE}: message with stamp {logs.START_NS} ns .*same stamp.*--strict"):
+        replay(source, tmp_path / "out.mcap", CFG, strict=True)
+
+
+@pytest.mark.parametrize("case", ["two recorders of everything", "a recorder that is three frames late"])
+def test_copies_in_the_next_part_are_left_out(case, drive, tidy, tmp_path):
+    """The cuts are between images and their copies."""
+    messages = TWICE[case](drive)
+    ends = [logs.START_NS + k * STEP_NS + 2 * MS for k in (3, 7, 8)]
+    assert rows(replayed(tmp_path, cut(messages, ends), CFG)).equals(tidy)
+
+
+def test_copies_do_not_change_a_warm_up_or_a_start(drive, tmp_path):
+    both = {}
+    for name, messages in (("once", drive), ("twice", copies(drive, MS, IMAGE))):
+        source, target = write(tmp_path / f"{name}.mcap", messages), tmp_path / f"{name}.out.mcap"
+        replay(source, target, CFG, time_range=TimeRange(start_s=0.2), warm_up_s=0.1)
+        both[name] = rows([target])
+    assert both["twice"].equals(both["once"])
 
 
 def drive_of(*stretches):

@@ -13,6 +13,7 @@ from roadperc_stream.config import SyncConfig
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.order import OrderConfig, StampOrder
+from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messages
 from roadperc_stream.input.sync import StampPairing, reference_of, skew_ns
 from roadperc_stream.input.transforms import LatchedState
 from roadperc_stream.log import Channel, Message
@@ -102,6 +103,13 @@ def test_a_faster_sensor_is_thinned_out_and_counted():
     assert synchroniser.dropped == {"depth": 4}
 
 
+def test_without_images_a_long_stream_is_forgotten():
+    items = [item("depth", t) for t in range(0, 60_000, 50)]
+    frames, synchroniser = run(items)
+    assert frames == []
+    assert synchroniser.dropped["depth"] == 1200
+
+
 def test_calibration_is_latched_until_replaced():
     second = Camera("c", 10, 10, 7.0, 7.0, 4.5, 4.5)
     items = [
@@ -135,7 +143,32 @@ def test_a_long_gap_keeps_the_messages_of_a_waiting_frame():
     assert stamps(frames) == [(0, 0), (2500, 2500)]
 
 
+def test_equal_log_times_do_not_pile_up():
+    items = [item("image", t, 0) for t in range(300)]
+    assert len(run(items)[0]) == 300
+
+
 def transforms(*edges, log_time_ns=1):
     edges = [Transform(parent, child, np.eye(4)) for parent, child in edges]
     data = encoding.encode_transforms(0, edges)
     return Message(Channel("/tf", "protobuf", "foxglove.FrameTransforms"), log_time_ns, log_time_ns, 0, data)
+
+
+def test_cameras_and_transforms_are_latched_side_by_side():
+    edges = (Transform("ego", "camera", np.eye(4)),)
+    state = LatchedState().updated("calibration", CAMERA).updated("tf", edges)
+    assert (state.cameras, list(state.tree.edges)) == ({"calibration": CAMERA}, ["camera"])
+
+
+def test_transforms_that_close_a_loop_are_left_out_and_reported():
+    problems = Problems()
+    messages = [
+        transforms(("ego", "camera")),
+        transforms(("camera", "ego"), log_time_ns=5),
+        transforms(("camera", "ego"), ("ego", "lidar"), log_time_ns=6),
+    ]
+    kept = decoded_messages(messages, RoleAssignment({"tf": "/tf"}), problems=problems)
+    assert [[edge.child for edge in item.edges] for item in kept] == [["camera"], ["lidar"]]
+    (text,) = problems.first.values()
+    assert text == "/tf: message at 5 ns: a loop of transforms ('camera' to 'ego'), expected a tree: left out"
+    assert not problems.counts

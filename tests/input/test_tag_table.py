@@ -13,11 +13,13 @@ from roadperc_stream.config import LimitsConfig, ReplayConfig, SurfaceConfig
 from roadperc_stream.formats import images
 from roadperc_stream.info.examine import examine
 from roadperc_stream.input.earlier_replay import recorded_tag_table
-from roadperc_stream.log import LogWriter, Message
+from roadperc_stream.input.roles import tag_table_to_record
+from roadperc_stream.input.stream import RoleAssignment
+from roadperc_stream.log import Channel, LogWriter, Message, Metadata
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14, table_for_version
 from roadperc_stream.output import encoding
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.schemas.record import METADATA_RECORD
+from roadperc_stream.schemas.record import METADATA_RECORD, TAG_TABLE_KEY
 from roadperc_stream.view.rerun.recording import save_recording
 from tests import logs
 from tests.replaying import replay
@@ -84,6 +86,12 @@ def test_info_and_the_viewer_use_the_recorded_table(unnamed, result, tmp_path):
     assert dict(save_recording(unnamed, tmp_path / "b.rrd", {}).problems) == {"/camera/front/segmentation": 3}
 
 
+def test_a_log_that_names_its_table_is_recorded_as_before(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(frames=2))
+    for cfg, name in ((ReplayConfig(), "auto"), (NAMED, "named")):
+        assert TAG_TABLE_KEY not in record(replayed(source, name, cfg))
+
+
 def record(path):
     return next(dict(record.values) for record in log.summarise(path).metadata if record.name == METADATA_RECORD)
 
@@ -120,3 +128,26 @@ def in_numbers_of_mapillary(folder, renamed):
                 )
             writer.write(Message(channel, item.stamp_ns, item.stamp_ns, 0, data))
     return path
+
+
+@pytest.mark.parametrize(
+    ("label", "recorded_before", "configured", "needed"),
+    [
+        ("", "", "auto", ""),
+        ("", "", CARLA_FROM_0_9_14.name, CARLA_FROM_0_9_14.name),
+        ("", CARLA_BEFORE_0_9_14.name, "auto", CARLA_BEFORE_0_9_14.name),
+        ("", CARLA_BEFORE_0_9_14.name, CARLA_FROM_0_9_14.name, CARLA_FROM_0_9_14.name),
+        (CARLA_BEFORE_0_9_14.name, "", CARLA_FROM_0_9_14.name, ""),
+    ],
+)
+def test_only_what_is_needed_is_recorded(label, recorded_before, configured, needed):
+    metadata = ((TAG_TABLE_KEY, label),) if label else ()
+    tags = Channel("/seg", "cdr", "sensor_msgs/msg/Image", metadata=metadata)
+    roles = RoleAssignment({"segmentation": "/seg"}, tag_table=recorded_before)
+    assert tag_table_to_record([tags], roles, configured) == needed
+
+
+@pytest.mark.parametrize("name", ["", "auto", "carla-of-tomorrow"])
+def test_an_unknown_recorded_table_is_ignored(name):
+    assert recorded_tag_table([Metadata(METADATA_RECORD, ((TAG_TABLE_KEY, name),))]) == ""
+    assert recorded_tag_table([Metadata("another", ((TAG_TABLE_KEY, CARLA_FROM_0_9_14.name),))]) == ""

@@ -98,6 +98,23 @@ def test_any_part_of_any_arrangement_is_read(tmp_path_factory, times, options, p
     assert [(m.log_time_ns, m.sequence) for m in read] == wanted
 
 
+def test_readers_of_a_sorted_log_are_independent(tmp_path):
+    summary = log.summarise(written(tmp_path / "a.mcap", [3, 1, 2, 0], use_chunking=False))
+    pairs = list(zip(log.read(summary), log.read(summary), strict=True))
+    assert [one.log_time_ns for one, _ in pairs] == [other.log_time_ns for _, other in pairs] == [0, 1, 2, 3]
+
+
+def test_a_log_is_sorted_when_read_and_leaves_no_file(tmp_path, monkeypatch):
+    path = written(tmp_path / "a.mcap", [2, 1], use_chunking=False)
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    summary = log.summarise(path)
+    assert summary.source._database is None
+    messages = log.read(summary)
+    assert next(messages).log_time_ns == 1
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
 def test_a_missing_folder_for_temporary_files_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
     summary = log.summarise(written(tmp_path / "a.mcap", [2, 1], use_chunking=False))

@@ -1,6 +1,8 @@
 """ROS bags are read as the MCAP log with the same messages."""
 
+import re
 import sqlite3
+from dataclasses import replace
 
 import pytest
 from mcap.writer import Writer as McapWriter
@@ -9,6 +11,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from roadperc_stream import log
+from roadperc_stream.cli.convert import main as convert_main
 from roadperc_stream.cli.info import main as info_main
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.errors import LogError
@@ -204,3 +207,62 @@ def test_an_unreadable_bag_is_named_with_a_command(tmp_path, content, fault):
     path = tmp_path / "a b"
     path.write_bytes(content)
     assert refused(path).startswith(f"{path}: {fault}'{path}'")
+
+
+def test_a_damaged_message_is_named(tmp_path, messages):
+    (path,) = bag(tmp_path / "bag", messages, mode="MESSAGE").glob("*.db3")
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE messages SET data = substr(data, 1, 20) WHERE id = 9")
+    (file,) = log.received([path])
+    topic = messages[8].channel.topic
+    assert f"{topic}: message at {messages[8].log_time_ns} ns: " in log.audited(file).damages[0].words
+
+
+def test_a_bag_without_files_has_no_command_for_them(tmp_path):
+    (tmp_path / "metadata.yaml").write_text(metadata("bag.db3"))
+    assert refused(tmp_path).endswith("names it; copy the whole folder of the bag again")
+
+
+@pytest.mark.parametrize("storage", [SQLITE, MCAP], ids=["db3", "mcap"])
+def test_a_compressed_file_without_metadata_is_read_and_named(tmp_path, single, messages, storage):
+    folder = bag(tmp_path / "bag", messages, storage, "FILE")
+    (folder / "metadata.yaml").unlink()
+    (file,) = folder.iterdir()
+    assert file.suffix == ".zstd"
+    assert contents(file) == contents(single)
+    with pytest.raises(LogError, match=f"such as {re.escape(str(file))}"):
+        log.summarise(folder)
+    if storage == MCAP:
+        with pytest.raises(LogError, match=f"zstd -d {re.escape(str(file))}"):
+            log.summarise(file)
+
+
+def test_compressed_messages_without_metadata_name_the_folder(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages, MCAP, "MESSAGE")
+    (folder / "metadata.yaml").unlink()
+    assert replay_main([*map(str, folder.iterdir()), str(tmp_path / "out.mcap")]) == 1
+    assert "are compressed: replay the folder of the bag" in capsys.readouterr().err
+
+
+def test_a_bag_without_video_is_not_converted(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages[:3])
+    assert convert_main([str(folder), str(tmp_path / "in.mcap")]) == 1
+    assert f"replay it with: roadperc-replay {folder} OUT.mcap" in capsys.readouterr().err
+
+
+def test_info_lists_every_file_of_a_bag_and_proposes_the_topic(tmp_path, messages, capsys):
+    image = "/carla/ego_vehicle/rgb_front/image"
+    renamed = [replace(m, channel=replace(m.channel, topic="/b/picture")) for m in messages if m.channel.topic == image]
+    folder = split_bag(tmp_path / "bag", sorted([*messages, *renamed], key=lambda m: m.log_time_ns), MCAP)
+    assert info_main([str(folder), "--topic", "image=/none"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"{folder / f'bag_{n}.mcap'}: whole" in out for n in range(3))
+    assert "As files of one log" in out
+    assert f"to use this topic: roadperc-replay {folder} OUT.mcap --topic image={image}" in out
+
+
+def test_a_bag_alone_needs_an_output(tmp_path, messages, capsys):
+    folder = bag(tmp_path / "bag", messages[:1])
+    with pytest.raises(SystemExit):
+        replay_main([str(folder)])
+    assert "required: OUT.mcap" in capsys.readouterr().err

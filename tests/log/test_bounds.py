@@ -1,17 +1,33 @@
 """Hostile or broken input takes linear time, limited memory and disk, and gives one line."""
 
 import os
+import shutil
 import struct
 import time
 from random import Random
+from types import SimpleNamespace
 
 import pytest
 
 from roadperc_stream import log
-from roadperc_stream.errors import LogError
+from roadperc_stream.config import LimitsConfig
+from roadperc_stream.errors import LogError, TargetError
 from roadperc_stream.input.source import LossTimes
-from roadperc_stream.log import LostSpan
+from roadperc_stream.log import Attachment, Channel, LostSpan, Message, Metadata
+from roadperc_stream.log.sorting import SortedMessages
+from tests.arranged import by_us
+from tests.log.test_pipes import fed
 from tests.test_sample import SAMPLE
+
+MIB = 1024**2
+
+
+A = Channel("/a", "x", source_id=1)
+
+
+def written(path, attachments=(), metadata=()):
+    messages = [Message(A, k, k, 0, b"x" * 100) for k in range(10)]
+    return by_us(path, messages, attachments=attachments, metadata=metadata)
 
 
 def test_a_pipe_without_mcap_is_refused_by_its_first_bytes(tmp_path):
@@ -22,6 +38,46 @@ def test_a_pipe_without_mcap_is_refused_by_its_first_bytes(tmp_path):
     with pytest.raises(LogError, match="pipe: not an MCAP log"):
         log.received([pipe])
     os.close(writer)
+
+
+def test_a_pipe_leaves_a_tenth_of_the_free_space(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=2 * MIB))
+    with pytest.raises(TargetError, match=r"pipe: cannot be stored in .*: 90% of the free space are used; TMPDIR"):
+        log.received([fed(tmp_path / "pipe", SAMPLE.read_bytes())])
+
+
+def test_a_repaired_copy_never_has_a_name(tmp_path, monkeypatch):
+    source = tmp_path / "cut.mcap"
+    source.write_bytes(SAMPLE.read_bytes()[:2_000_000])
+    temporary, seen = tmp_path / "temporary", []
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    complete = log.LogWriter.complete
+
+    def watched(writer):
+        seen.append(list(temporary.iterdir()))
+        complete(writer)
+
+    monkeypatch.setattr(log.LogWriter, "complete", watched)
+    copy = log.repaired_copy(log.LogFile.of(source))
+    repaired = tmp_path / "repaired.mcap"
+    log.write_repaired(source, repaired)
+    assert seen == [[], []]
+    assert (list(temporary.iterdir()), sorted(tmp_path.iterdir())) == ([], sorted([source, repaired, temporary]))
+    with copy.file.path.open("rb") as stream:
+        assert stream.read() == repaired.read_bytes()
+
+
+def test_a_read_error_of_a_sorted_log_names_the_folder():
+    """The garbage collector may close the database before its reader."""
+    source = SortedMessages("a.mcap", lambda: [Message(A, k, k, 0, b"x") for k in (2, 1)])
+    assert [m.log_time_ns for m in source.messages(None, None, None)] == [1, 2]
+    reading = source.messages(None, None, None)
+    next(reading)
+    source._database.close()
+    reading.close()
+    with pytest.raises(TargetError, match=r"a\.mcap: cannot be sorted in /.*TMPDIR names a folder"):
+        list(source.messages(None, None, None))
 
 
 def chunk_like(length):
@@ -78,3 +134,20 @@ def test_overlapping_gaps_are_found():
         assert (reason is None) == (expected is None)
         if reason is not None:
             assert reason.values == tuple(ns for ns in expected if abs(ns) < float("inf"))
+
+
+def test_attachments_together_have_a_limit(tmp_path):
+    half = [Attachment(name, "x", bytes([k]) * (MIB * 6 // 10)) for k, name in enumerate("ab")]
+    one, other = written(tmp_path / "1.mcap", half[:1]), written(tmp_path / "2.mcap", half[1:])
+    both = written(tmp_path / "both.mcap", half)
+    limits = LimitsConfig(record_mb=1)
+    assert log.summarise(one, limits).attachments == (half[0],)
+    assert len(log.summarise(both, LimitsConfig(record_mb=2)).attachments) == 2
+    expected = r"attachments and metadata of 1 MiB: expected limits\.record_mb 1 at most"
+    with pytest.raises(LogError, match=rf"both\.mcap: {expected}"):
+        log.summarise(both, limits)
+    with pytest.raises(LogError, match=rf"2\.mcap: {expected}"):
+        log.summarise([one, other], limits)
+    described = [Metadata(f"m{k}", (("k", "x" * (MIB * 6 // 10)),)) for k in range(2)]
+    with pytest.raises(LogError, match=expected):
+        log.summarise(written(tmp_path / "m.mcap", metadata=described), limits)

@@ -1,5 +1,6 @@
 """Chunks of unusual form: every reader sees all their messages, and a copy has normal chunks."""
 
+import os
 import struct
 import zlib
 from itertools import pairwise
@@ -12,6 +13,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 
 from roadperc_stream import log
+from roadperc_stream.errors import LogError
 from roadperc_stream.log import Channel, LogWriter, MessageCopy, Salvage
 from roadperc_stream.log.mcap_file import ChunkRecords, McapFile
 
@@ -152,9 +154,35 @@ def test_further_frames_stay_within_the_declared_size(tmp_path, compression):
     assert "holds more than the" in found.damages[0].words
 
 
+def test_an_empty_chunk_does_not_change_the_first_log_time(tmp_path):
+    empty = chunk_of([], span=(0, 0), entries=lambda _: [[]])
+    source = written(tmp_path / "a.mcap", empty, chunk_of(MIDDLE))
+    data = bytearray(source.read_bytes())
+    with source.open("rb") as stream:
+        assert make_reader(stream).get_summary().statistics.message_start_time == 0
+    at = data.index(struct.pack("<QQ", 0, 30), data.rindex(struct.pack("<BQ", 11, 56)))
+    data[at : at + 8] = struct.pack("<Q", 20)  # as other writers count
+    data[-12:-8] = bytes(4)  # the summary's CRC
+    source.write_bytes(data)
+    assert copied(source, tmp_path / "b.mcap") == [True]
+    assert log.summarise(tmp_path / "b.mcap").first_ns == 20
+
+
 def test_messages_outside_chunks_are_read_despite_a_chunk_index(tmp_path):
     outside = [(40, b"e" * 50), (50, b"f" * 50)]
     source = written(tmp_path / "a.mcap", chunk_of(CHUNKS[0]), chunk_of(MIDDLE), outside=outside)
     assert plain(log.read(log.summarise(source))) == ALL
     copied(source, tmp_path / "b.mcap")
     assert plain(log.read(log.summarise(tmp_path / "b.mcap"))) == ALL
+
+
+@pytest.mark.parametrize("left", [0.45, 0.8])
+def test_a_file_that_is_cut_during_copying_is_an_error(tmp_path, left):
+    large = [chunk_of([(time, b"." * 100_000) for time, _ in items]) for items in CHUNKS]
+    source = written(tmp_path / "a.mcap", *large)
+    summary = log.summarise(source)
+    found = log.pieces(summary, summary.channels, None, None)
+    next(found)
+    os.truncate(source, int(left * source.stat().st_size))
+    with pytest.raises(LogError, match=r"a\.mcap: "):
+        list(found)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mcap import records
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
@@ -85,6 +85,14 @@ def test_the_library_reads_copied_chunks(tmp_path):
     assert len(in_file) == len(found) == 15
 
 
+def test_channels_and_schemas_keep_their_ids(tmp_path):
+    source = by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO)
+    copied(source, tmp_path / "b.mcap", topics=["/b"], results=[0])
+    summary = log.summarise(tmp_path / "b.mcap")
+    channels = {c.topic: (c.source_id, c.schema_id) for c in summary.channels}
+    assert channels == {"/b": (2, 0), "/result": (3, 1)}
+
+
 def test_a_chunk_without_crc_gets_one(tmp_path):
     source = by_library(
         tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO, enable_crcs=False, compression=CompressionType.NONE
@@ -119,6 +127,21 @@ def test_partly_copied_chunks_are_rewritten(tmp_path, items, options, expected):
     read = {"topics": options.get("topics"), "start_ns": options.get("start_ns"), "end_ns": options.get("end_ns")}
     assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source), **read))
     assert whole(pieces) == expected
+
+
+def test_a_chunk_that_describes_an_omitted_channel_is_rewritten(tmp_path):
+    """Another channel may have its id in the copy."""
+    source = by_library(tmp_path / "a.mcap", [("/b", time) for time in range(6)], chunk_size=TWO)
+    pieces = copied(source, tmp_path / "b.mcap", topics=["/b"])
+    assert whole(pieces)[0] is False
+    assert whole(pieces)[-1] is True
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(source)))
+
+
+def test_a_large_chunk_is_rewritten(tmp_path, monkeypatch):
+    monkeypatch.setattr("roadperc_stream.log.indexed._MOST_WHOLE_BYTES", 100)
+    pieces = copied(by_library(tmp_path / "a.mcap", IN_ORDER, chunk_size=TWO), tmp_path / "b.mcap")
+    assert not any(whole(pieces))
 
 
 def test_messages_without_index_entry_do_not_become_results(tmp_path):
@@ -156,6 +179,16 @@ def test_a_copy_of_a_copy_has_the_same_bytes(tmp_path_factory, items, in_order, 
     assert log.audited(folder / "b.mcap").whole
 
 
+def test_an_unordered_log_is_rewritten_in_separate_chunks(tmp_path):
+    source = by_library(tmp_path / "a.mcap", [("/a", 7 * k % 20) for k in range(20)], use_chunking=False)
+    pieces = copied(source, tmp_path / "b.mcap", results=[3, 9, 15])
+    assert not any(whole(pieces))
+    assert [m[1] for m in inputs(tmp_path / "b.mcap")] == list(range(20))
+    index = index_of(tmp_path / "b.mcap")
+    kinds = [{index.channels[i].topic for i in chunk.message_index_offsets} for chunk in index.chunk_indexes]
+    assert kinds == [{"/a"}, {"/result"}] * 3 + [{"/a"}]
+
+
 LATER = [(topic, time + 60) for topic, time in IN_ORDER]
 
 
@@ -181,6 +214,14 @@ def test_chunks_of_files_are_copied_if_ids_agree_and_times_do_not_overlap(tmp_pa
     assert kinds - {("/a", "T")} == {("/a", "S"), ("/b", ""), ("/result", "S")}
 
 
+def test_messages_of_files_without_an_index_are_copied(tmp_path):
+    files = [by_library(tmp_path / "1.mcap", IN_ORDER, chunk_size=TWO)]
+    files.append(by_library(tmp_path / "2.mcap", LATER, index_types=IndexType.NONE, use_statistics=False))
+    pieces = copied(files, tmp_path / "b.mcap")
+    assert inputs(tmp_path / "b.mcap") == plain(log.read(log.summarise(files)))
+    assert whole(pieces) == [True] * 6 + [False] * 12
+
+
 def test_a_growing_copy_is_read_in_log_time_order(tmp_path):
     """A copied chunk may have later messages than the results written until then."""
     source = by_library(tmp_path / "a.mcap", [("/a", 10 * k) for k in range(6)], chunk_size=2**20)
@@ -203,3 +244,10 @@ def test_a_growing_copy_is_read_in_log_time_order(tmp_path):
         *[("/a", 0), ("/a", 10), ("/result", 10), ("/a", 20), ("/a", 30), ("/result", 30), ("/a", 40), ("/a", 50)]
     ]
     assert growing.progress() == (50, True)
+
+
+def test_new_channels_get_free_ids(tmp_path):
+    last = Channel("/last", "x", source_id=65535)
+    with LogWriter(tmp_path / "a.mcap") as writer:
+        assert [writer.register(c, keep_ids=True) for c in (last, A)] == [65535, 1]
+        assert [writer.register(c) for c in (B, RESULT, A)] == [2, 3, 1]

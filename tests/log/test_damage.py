@@ -3,6 +3,7 @@
 from collections import Counter
 from random import Random
 
+import lz4.frame
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,8 +11,8 @@ from mcap.writer import CompressionType, IndexType
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
-from roadperc_stream.log import LostSpan, Metadata, Recovery
-from roadperc_stream.log.chunks import streamed
+from roadperc_stream.log import LostSpan, Metadata, Recovery, layout
+from roadperc_stream.log.chunks import outline_of, streamed
 from roadperc_stream.log.layout import chunk_head, message_head, records_in
 from tests.log import flips
 
@@ -112,6 +113,13 @@ def repaired(path):
     return recovery, list(log.read(log.summarise(target))), log.summarise(target)
 
 
+def test_the_start_of_a_cut_chunk_is_saved(tmp_path):
+    path = flips.write(tmp_path / "a.mcap", messages=9000, chunk_size=1_000_000, **CRC)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 3])
+    assert 2000 < len(repaired(path)[1]) < 3600
+
+
 def damaged_in_the_middle(tmp_path):
     path = flips.write(tmp_path / "a.mcap", compression=CompressionType.NONE, **CRC)
     whole, messages = path.read_bytes(), list(log.read(log.summarise(path)))
@@ -179,3 +187,11 @@ def test_a_whole_log_is_copied_without_a_record_of_losses(tmp_path):
 )
 def test_an_invalid_record_of_losses_is_ignored(values):
     assert Recovery.of_records([Metadata("roadperc.recovery", tuple(values.items()))]) is None
+
+
+def test_an_lz4_frame_without_its_end_is_an_error():
+    data = b"\x05" + (50).to_bytes(8, "little") + bytes(50)
+    frame = lz4.frame.compress(data, store_size=False)
+    for stored, fault in ((frame, ""), (frame[:-4], layout.TOO_SHORT)):
+        head = layout.ChunkHead(0, 1, len(data), 0, "lz4", len(stored), memoryview(stored))
+        assert outline_of(head, 10)[1] == fault

@@ -1,8 +1,12 @@
 """Logs through standard input and named pipes: stored once, then like any file."""
 
 import os
+import resource
+import signal
+import subprocess
 import sys
 from contextlib import suppress
+from pathlib import Path
 from threading import Thread
 
 import pytest
@@ -12,9 +16,10 @@ from roadperc_stream.cli.info import main as info
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.cli.view import main as view
 from roadperc_stream.config import ReplayConfig
+from roadperc_stream.errors import LogError
 from roadperc_stream.system.time import TimeRange
 from tests.arranged import ARRANGEMENTS, arranged, plain
-from tests.commands import run
+from tests.commands import run, words
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
 
@@ -96,4 +101,34 @@ def test_a_pipe_without_a_whole_log_gives_one_line(tmp_path, through, data, faul
     error = capsys.readouterr().err
     assert error.startswith(f"error: {fault}")
     assert "roadperc-info" not in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_terminal_is_refused(tmp_path, monkeypatch, capsys):
+    controller, terminal = os.openpty()
+    assert with_input(monkeypatch, os.fdopen(terminal), replay_main, tmp_path / "out.mcap") == 1
+    os.close(controller)
+    assert capsys.readouterr().err.startswith("error: -: standard input is a terminal")
+
+
+def test_closed_standard_input_is_refused(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    with pytest.raises(LogError, match="-: standard input is closed"):
+        log.received([Path("-")])
+    with pytest.raises(LogError, match="-: is given twice"):
+        log.received([Path("-"), Path("-")])
+
+
+def test_a_full_disk_while_storing_a_pipe_gives_one_line(tmp_path):
+    def limited():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+
+    command = words("roadperc-replay", "-", tmp_path / "out.mcap")
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    options = {"capture_output": True, "timeout": 60, "env": environment, "preexec_fn": limited}
+    ended = subprocess.run(command, input=SAMPLE.read_bytes(), check=False, **options)
+    assert ended.returncode == 1
+    assert ended.stderr.decode().startswith(f"error: -: cannot be stored in {tmp_path}: File too large; TMPDIR names")
+    assert ended.stderr.count(b"\n") == 1
     assert list(tmp_path.iterdir()) == []

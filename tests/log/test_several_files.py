@@ -22,7 +22,7 @@ from roadperc_stream.log import Attachment, Channel, Message, Metadata
 from roadperc_stream.output.tables import read_footer
 from roadperc_stream.system.time import TimeRange
 from tests import logs
-from tests.arranged import ARRANGEMENTS, by_us, parts, plain
+from tests.arranged import ARRANGEMENTS, arranged, by_us, parts, plain
 from tests.logs import START_NS
 from tests.replaying import replay
 from tests.test_sample import SAMPLE
@@ -81,6 +81,33 @@ def test_files_are_read_in_log_time_order(tmp_path_factory, files):
     assert sorted(late) == [(time, topic) for time, topic in wanted if 10 <= time < 20 and topic == "/a"]
 
 
+def test_equal_channels_are_joined_across_files_only(tmp_path):
+    twins = Channel("/a", "x", source_id=1), Channel("/a", "x", source_id=2)
+    one = written(tmp_path / "1.mcap", [(twins[0], 1), (twins[1], 2)])
+    two = written(tmp_path / "2.mcap", [(twins[0], 3), (Channel("/a", "y"), 4), (twins[1], 5)])
+    summary = log.summarise([one, two])
+    assert [(c.topic, c.message_encoding) for c in summary.channels] == [("/a", "x"), ("/a", "x"), ("/a", "y")]
+    assert [summary.counts[c.source_id] for c in summary.channels] == [2, 2, 1]
+    assert {m.channel for m in log.read(summary)} == set(summary.channels)
+
+
+def test_files_are_open_only_while_they_are_read(tmp_path, monkeypatch):
+    files = [written(tmp_path / f"{k}.mcap", [(A, 10 * k + j) for j in range(9)]) for k in range(30)]
+    summary, now, most = log.summarise(files), [0], [0]
+    for part, _ in summary.source.files:
+
+        def counted(*args, messages=part.source.messages, **options):
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+            yield from messages(*args, **options)
+            now[0] -= 1
+
+        monkeypatch.setattr(type(part.source), "messages", part.source.messages.__func__)
+        object.__setattr__(part.source, "messages", counted)
+    assert len(list(log.read(summary))) == 270
+    assert most[0] <= 2
+
+
 SHARED = [("/a", 1), ("/a", 2), ("/b", 2), ("/a", 2), ("/b", 3), ("/a", 4)]
 
 
@@ -105,6 +132,23 @@ def test_messages_that_differ_are_all_kept(tmp_path, changed):
     summary = log.summarise([tmp_path / "1.mcap", tmp_path / "2.mcap"])
     assert len(list(log.read(summary))) == 2
     assert [part.repeats for part in summary.files] == [0, 0]
+
+
+@pytest.mark.parametrize("arrangement", [{}, ARRANGEMENTS["no index"]], ids=["indexed", "no index"])
+def test_files_with_repeated_messages_equal_the_whole_log(tmp_path, arrangement):
+    messages = list(log.read(WHOLE))
+    early, late = messages[: MESSAGES * 6 // 10], messages[MESSAGES * 4 // 10 :]
+    files = [
+        arranged(SAMPLE, tmp_path / f"{k}.mcap", some, **arrangement) for k, some in enumerate((early, late, messages))
+    ]
+    whole = open_input(ReplaySource(SAMPLE), CFG)
+    for some in ([files[0], files[1]], [SAMPLE, files[2]]):
+        log_in = open_input(ReplaySource(some), CFG)
+        assert plain(log_in.messages.copied()) == plain(whole.messages.copied())
+        assert (log_in.log_id, log_in.expected_frames) == (whole.log_id, whole.expected_frames)
+    shared = len(early) + len(late) - MESSAGES
+    notes = open_input(ReplaySource(files[:2]), CFG).notes
+    assert any(f"{shared} of its messages are also in earlier files and count once" in note for note in notes)
 
 
 def test_attachments_and_metadata_are_united(tmp_path):
@@ -136,6 +180,13 @@ def test_a_replay_reports_gaps_between_files(tmp_path, capsys):
     assert [frame.input.stamp_ns for frame in rp.frames([early, late])] == [
         START_NS + k * logs.STEP_NS for k in (0, 1, 2, 6, 7)
     ]
+
+
+def test_calibration_and_transforms_of_the_first_file_hold_in_the_others(tmp_path):
+    once = parts(SAMPLE, tmp_path, [MESSAGES // 2])
+    assert not list(log.read(log.summarise(once[1]), topics=["/tf", "/camera/front/calibration"]))
+    frames = open_input(ReplaySource(once, time_range=TimeRange(start_s=1.5, frames=1)), CFG).samples()
+    assert next(iter(frames)).frame.mounted
 
 
 def test_a_file_given_twice_is_an_error(tmp_path):

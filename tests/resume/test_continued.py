@@ -4,7 +4,7 @@ import hashlib
 import os
 import zlib
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,13 +15,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream import log, read_metrics
+from roadperc_stream.chain import encoding
 from roadperc_stream.chain.encoding import FORMAT_VERSION, decode, encode
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import StateError
+from roadperc_stream.errors import NoFrameError, StateError
 from roadperc_stream.eval.runs import collect, find_runs
 from roadperc_stream.eval.scan import rows_of
 from roadperc_stream.input import ReplaySource, open_input
 from roadperc_stream.metrics import frame_metrics
+from roadperc_stream.output.writing import FrameOutput
+from roadperc_stream.resume.checkpoint import Checkpoint
 from roadperc_stream.resume.state import ReplayState, SavedState
 from roadperc_stream.schemas.record import STATE_ATTACHMENT
 from roadperc_stream.system.time import TimeRange
@@ -130,6 +133,14 @@ def test_the_fields_of_a_state_match_its_version():
     assert (FORMAT_VERSION, digest) == (11, "1232afc6"), names
 
 
+@pytest.mark.parametrize("kind", [SavedState, Checkpoint, FrameOutput])
+def test_encoded_types_have_no_caches(kind):
+    """Private fields, and fields that comparisons ignore, may differ in equal states."""
+    held = _held(msgspec.inspect.type_info(kind), {})
+    caches = [(part, f.name) for part in held for f in fields(part) if f.name.startswith("_") or not f.compare]
+    assert (caches, kind in held) == ([], True)
+
+
 def _held(info, found):
     """Names of the fields of all dataclasses in a type, by dataclass."""
     if isinstance(info, msgspec.inspect.DataclassType):
@@ -188,6 +199,24 @@ def test_readers_take_the_last_version_of_a_frame(parts, tmp_path):
     assert find_runs([str(parts[0])])[0].frames == len(read_metrics(parts[0]))
 
 
+def test_a_result_is_not_continued_with_other_settings(drive, parts, tmp_path):
+    other, later = load_config(None, (*WAIT, "lanes.hold_s=0.3")), cut(drive, [drive[0].log_time_ns + 500_000_000])[1]
+    with pytest.raises(StateError, match=r"cannot be continued with other settings: lanes.hold_s was 0.5, is 0.3"):
+        replay(write(tmp_path / "in.mcap", later), tmp_path / "out.mcap", other, continued=parts[0])
+
+
+def test_an_oversized_state_is_left_out(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(encoding, "MOST_BYTES", 1000)
+    summary = replay(write(tmp_path / "in.mcap", drive), tmp_path / "out.mcap", CFG)
+    assert any("this result cannot be continued" in note for note in summary.notes)
+    assert names(tmp_path / "out.mcap") == ["roadperc.toml"]
+
+
+def test_results_alone_cannot_be_continued(drive, parts, tmp_path):
+    with pytest.raises(StateError, match=r"with its input \(not --results-only\)"):
+        replayed(tmp_path, cut(drive, [drive[0].log_time_ns + 500_000_000]), CFG, results_only=True)
+
+
 @pytest.mark.parametrize(
     ("data", "expected"), [(None, r"has no attachment roadperc\.state"), (b"", "not the state of a replay")]
 )
@@ -224,6 +253,26 @@ def test_a_changed_state_gives_a_state_or_one_error(parts):
 def test_an_earlier_log_cannot_continue_a_result(parts, tmp_path):
     with pytest.raises(StateError, match=r"begins 0\.\d{3} s before the end of .*: expected later messages"):
         replay(parts[0], tmp_path / "out.mcap", CFG, continued=parts[0])
+
+
+def test_a_log_of_another_sensor_cannot_continue_a_result(parts, drive, tmp_path):
+    cut_ns = drive[0].log_time_ns + 500_000_000
+    depth = [m for m in drive if m.log_time_ns < cut_ns and m.channel.topic != "/camera/front/image"]
+    (before,) = replayed(tmp_path, [depth], CFG)
+    with pytest.raises(StateError, match="would make the frames: expected role depth, as in the continued result"):
+        replay(parts[1], tmp_path / "out.mcap", CFG, continued=before)
+
+
+def test_only_a_continued_replay_may_have_no_frame(drive, tmp_path):
+    """The camera fails, the depth sensor continues."""
+    (depth, *_) = [m for m in drive if m.channel.topic == "/camera/front/depth"]
+    stamps = [drive[-1].log_time_ns + k * 100_000_000 for k in range(1, 20)]
+    alone = [replace(depth, log_time_ns=t, data=logs.frame_items(t, ROAD)[1].data) for t in stamps]
+    made = replayed(tmp_path, [[*drive, *alone[:10]], alone[10:]], CFG)
+    assert [len(read_metrics(path)) for path in made] == [16, 0]
+    assert read_metrics(made)["frame"].to_list() == list(range(16))
+    with pytest.raises(NoFrameError):
+        replay(tmp_path / "in_0.mcap", tmp_path / "out.mcap", CFG, time_range=TimeRange(start_s=1.0))
 
 
 def test_a_file_cut_by_start_and_end(parts, drive, tmp_path):

@@ -5,6 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -119,6 +120,18 @@ def test_a_log_cut_anywhere_gives_the_frames_of_the_whole(data):
         assert in_parts(Path(folder), cut(messages, cuts)) == whole
 
 
+@pytest.mark.parametrize("number", [1, 4, 7])
+def test_a_cut_between_an_image_and_its_depth(tmp_path, number):
+    """The first part gives an incomplete frame; the second repeats it completely."""
+    messages = arriving([0] * len(DRIVE))
+    image = [k for k, m in enumerate(messages) if m.channel.topic == "/camera/front/image"][number]
+    first, end = frames(write(tmp_path / "0.mcap", messages[: image + 1]))
+    assert first[number][5] == ("depth", "segmentation", "detections")
+    again, _ = frames(write(tmp_path / "1.mcap", messages[image + 1 :]), end)
+    whole, _ = frames(write(tmp_path / "whole.mcap", messages))
+    assert first | again == whole
+
+
 def test_logs_without_a_new_frame_are_continued(tmp_path):
     messages = arriving([0] * len(DRIVE))
     at = edges_after_all_roles(messages)[0]
@@ -136,3 +149,8 @@ def test_a_cut_at_a_new_segment(tmp_path):
     assert {row[7] for row in whole.values()} == {0, 1}
     for step in (-1, 1, 3, 5):
         assert in_parts(tmp_path, cut(messages, [later[0].log_time_ns + step * STEP_NS // 2])) == whole
+
+
+def test_a_later_log_reads_only_the_last_messages_again(tmp_path):
+    _, (earlier, last) = frames(write(tmp_path / "0.mcap", arriving([0] * len(DRIVE))))
+    assert earlier.last_ns - last.since_ns <= WAIT_NS + 2 * STEP_NS

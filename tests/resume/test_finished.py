@@ -1,5 +1,6 @@
 """``--resume`` finds a finished replay complete, for any start and any transforms."""
 
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -9,17 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream import log
-from roadperc_stream.chain.encoding import FORMAT_VERSION
+from roadperc_stream.chain.encoding import FORMAT_VERSION, encode
 from roadperc_stream.cli.replay import main
 from roadperc_stream.geometry import rigid
 from roadperc_stream.geometry.rotations import rotation_from_rpy
+from roadperc_stream.input.transforms import TransformTree
 from roadperc_stream.model import Transform
 from roadperc_stream.output import encoding
+from roadperc_stream.resume.checkpoint import checkpoint_folder
 from roadperc_stream.schemas.record import STATE_ATTACHMENT
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.resume.parts import with_attachments
 from tests.resume.test_continued import ANYHOW, ROAD
+from tests.resume.test_kills import interrupt
 
 FRAMES = 12
 NAMES = ("map", "odom", "base_link", "mast", "camera", "ego", "lidar")
@@ -76,6 +80,18 @@ def test_a_finished_replay_is_complete_with_any_transforms(beginning, made):
         assert_complete(Path(folder), with_transforms(Path(folder) / "in.mcap", made), beginning)
 
 
+@settings(max_examples=20, **ANYHOW)
+@given(made=transforms(), asked=st.lists(st.sampled_from(NAMES), min_size=2, max_size=8))
+def test_lookups_do_not_change_the_bytes_of_a_tree(made, asked):
+    tree = TransformTree()
+    for _, edges in made:
+        tree = tree.updated(edges)
+    before = encode(tree)
+    for target, source in pairwise(asked):
+        tree.lookup(target, source)
+    assert encode(tree) == before
+
+
 @pytest.fixture(scope="module")
 def warmed(tmp_path_factory):
     """A warmed-up result."""
@@ -91,6 +107,15 @@ def test_a_state_of_an_older_version_is_one_error(warmed, tmp_path, capsys):
     assert main([str(warmed), str(tmp_path / "new.mcap"), *EVERY, "--continue", str(older)]) == 1
     assert capsys.readouterr().err == f"error: {older}: attachment {STATE_ATTACHMENT}: {OLDER}replay its input again\n"
     assert list(tmp_path.iterdir()) == [older]
+
+
+def test_a_checkpoint_of_an_older_version_is_one_error(tmp_path, capsys):
+    source, target = with_transforms(tmp_path / "in.mcap", []), tmp_path / "out.mcap"
+    interrupt(source, target, 10)
+    state = checkpoint_folder(target) / "state"
+    state.write_bytes(older_version(state.read_bytes()))
+    assert main([str(source), str(target), *EVERY, "--resume"]) == 1
+    assert capsys.readouterr().err == f"error: {state.parent}: {OLDER}remove it to start over\n"
 
 
 def older_version(data):

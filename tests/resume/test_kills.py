@@ -12,7 +12,10 @@ import pytest
 from roadperc_stream.config import load_config
 from roadperc_stream.errors import StateError, TargetError
 from roadperc_stream.output.tables import sidecar_path
-from roadperc_stream.resume.checkpoint import checkpoint_folder
+from roadperc_stream.output.writing import FrameOutput
+from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, checkpoint_folder
+from roadperc_stream.resume.state import ReplayState
+from roadperc_stream.schemas.columns import FrameMetrics
 from tests import logs
 from tests.commands import run_forked
 from tests.replaying import replay
@@ -58,6 +61,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+LITTLE = FrameOutput(FrameMetrics("log", 0, 0))
 OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
 
 
@@ -176,6 +180,32 @@ def test_a_replay_killed_between_renames_is_resumed(source, undisturbed, tmp_pat
     assert names(tmp_path) == OUTPUTS
 
 
+def test_a_resumed_checkpoint_has_the_right_length(tmp_path):
+    """Frames after the last checkpoint are computed again, perhaps with fewer bytes."""
+    checkpoint = Checkpoint({}, ReplayState())
+    with CheckpointFolder(tmp_path / "out.mcap") as folder:
+        folder.begin(None)
+        folder.append(LITTLE)
+        folder.write(replace(checkpoint, samples=1))
+        folder.append(LITTLE)
+    with CheckpointFolder(tmp_path / "out.mcap") as again:
+        again.begin(again.read())
+        again.append(LITTLE)
+        again.write(replace(checkpoint, samples=2))
+    assert len(list(again.outputs(again.read()))) == 2
+
+
+def test_a_checkpoint_of_other_frames_is_an_error(source, tmp_path):
+    target = tmp_path / "out.mcap"
+    interrupt(source, target, 15)
+    path = checkpoint_folder(target) / "frames"
+    data = path.read_bytes()
+    length = 8 + int.from_bytes(data[:8], "little")
+    path.write_bytes(data[length:] + data[:length])
+    with pytest.raises(StateError, match="does not hold frame 0; remove it to start over"):
+        replay(source, target, CFG, checkpoint_every_s=0.2, resume=True)
+
+
 def test_without_checkpoints_an_interrupted_replay_leaves_nothing(source, tmp_path):
     def stop(done, _):
         if done == 15:
@@ -186,3 +216,12 @@ def test_without_checkpoints_an_interrupted_replay_leaves_nothing(source, tmp_pa
     assert names(tmp_path) == []
     interrupt(source, tmp_path / "out.mcap", 2)
     assert names(tmp_path) == [], "interrupted before its first checkpoint"
+
+
+def test_pictures_and_counts_are_resumed(source, tmp_path):
+    cfg, target = CFG, tmp_path / "out.mcap"
+    interrupt(source, target, 15, on_request=("overlay",))
+    resumed = replay(source, target, cfg, checkpoint_every_s=0.2, resume=True, on_request=("overlay",))
+    direct = replay(source, tmp_path / "direct.mcap", cfg, on_request=("overlay",))
+    assert target.read_bytes() == (tmp_path / "direct.mcap").read_bytes()
+    assert (resumed.throughout, resumed.notes) == (direct.throughout, direct.notes)

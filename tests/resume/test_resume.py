@@ -9,11 +9,11 @@ import pytest
 
 from roadperc_stream.cli.replay import main
 from roadperc_stream.config import load_config
-from roadperc_stream.errors import StateError
+from roadperc_stream.errors import StateError, TargetError
 from roadperc_stream.resume.checkpoint import CheckpointFolder, checkpoint_folder
 from tests import commands, logs
 from tests.replaying import replay
-from tests.resume.test_kills import CFG, EVERY, ROAD, SETTINGS, interrupt, same
+from tests.resume.test_kills import CFG, EVERY, OUTPUTS, ROAD, SETTINGS, interrupt, names, same
 
 RESUMED = {"checkpoint_every_s": 0.2, "resume": True}
 
@@ -65,6 +65,43 @@ def test_a_second_replay_of_the_same_output_is_refused(source, tmp_path):
     replay(source, tmp_path / "direct.mcap", CFG)
     assert same(target, tmp_path / "direct.mcap"), "the lock ends with its process"
     assert not checkpoint_folder(target).exists()
+
+
+@pytest.mark.parametrize("options", [RESUMED, {}])
+def test_a_link_in_place_of_the_folder_is_one_error(source, tmp_path, options):
+    (tmp_path / "victim").mkdir()
+    (tmp_path / "victim" / "frames").write_bytes(b"theirs")
+    checkpoint_folder(tmp_path / "out.mcap").symlink_to(tmp_path / "victim")
+    with pytest.raises(StateError, match="checkpoint: not a folder; remove it to start over"):
+        replay(source, tmp_path / "out.mcap", CFG, **options)
+    assert (tmp_path / "victim" / "frames").read_bytes() == b"theirs"
+
+
+def test_a_link_in_place_of_the_frames_is_not_written_through(source, stopped, tmp_path):
+    path = checkpoint_folder(stopped) / "frames"
+    path.rename(tmp_path / "victim")
+    path.symlink_to(tmp_path / "victim")
+    before = (tmp_path / "victim").read_bytes()
+    with pytest.raises(TargetError, match="checkpoint: "):
+        replay(source, stopped, CFG, **RESUMED)
+    assert (tmp_path / "victim").read_bytes() == before
+
+
+def test_a_plain_replay_removes_old_checkpoints_with_a_note(source, stopped):
+    summary = replay(source, stopped, CFG)
+    assert any("checkpoint: left by an interrupted replay; removed" in note for note in summary.notes)
+    assert names(stopped.parent) == OUTPUTS
+
+
+@pytest.mark.parametrize("table", OUTPUTS[1:2])
+def test_an_output_with_another_table_is_not_complete(source, tmp_path, table):
+    target = tmp_path / "out.mcap"
+    replay(source, target, CFG)
+    (tmp_path / table).write_bytes(b"junk")
+    with pytest.raises(TargetError, match="exists; pass --force"):
+        replay(source, target, CFG, **RESUMED)
+    replay(source, target, CFG, **RESUMED, force=True)
+    assert "nothing to do" in replay(source, target, CFG, **RESUMED).notes[0]
 
 
 def words(source, target, *options):

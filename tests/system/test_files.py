@@ -13,6 +13,7 @@ from roadperc_stream.system.files import (
     not_a_log,
     remove_stale_partials,
     require_free,
+    require_suffix,
 )
 
 
@@ -41,6 +42,13 @@ def test_an_existing_file_is_replaced_only_with_force(tmp_path):
     require_free(target, force=True, suffix=".mp4")
     with pytest.raises(TargetError, match=r"exists; pass --force to overwrite it"):
         require_free(target, force=False, suffix=".mp4")
+
+
+def test_a_name_may_end_in_one_of_several_suffixes_however_it_is_spelled(tmp_path):
+    for name in ("a.html", "a.HTM", "a.b.Html"):
+        require_suffix(tmp_path / name, ".html", ".htm")
+    with pytest.raises(TargetError, match=r"a\.mcap: expected a name that ends in \.html or \.htm$"):
+        require_suffix(tmp_path / "a.mcap", ".html", ".htm")
 
 
 def test_a_file_appears_when_it_is_complete(tmp_path):
@@ -99,6 +107,29 @@ def test_pipes_and_links_are_not_replaced(tmp_path, kind, why):
         pytest.fail("nothing can be written")
     assert sorted(tmp_path.iterdir()) == before
     assert target.is_fifo() or target.is_symlink()
+
+
+def test_a_name_that_is_not_utf8_is_refused(tmp_path):
+    """The libraries that write files need text; one of them aborts without it."""
+    target = tmp_path / os.fsdecode(b"out\xff.mp4")
+    with pytest.raises(TargetError, match=r"out\\udcff\.mp4': expected a name in UTF-8"):
+        require_free(target, force=True, suffix=".mp4")
+
+
+def write_while_another_does(target, force):
+    with completing(target, force=force) as temporary:
+        temporary.write_bytes(b"mine")
+        target.write_bytes(b"theirs")
+
+
+def test_a_file_that_another_program_wrote_stays(tmp_path):
+    target = tmp_path / "out.mp4"
+    with pytest.raises(TargetError, match="written by another program; pass --force"):
+        write_while_another_does(target, force=False)
+    assert target.read_bytes() == b"theirs"
+    write_while_another_does(target, force=True)
+    assert target.read_bytes() == b"mine"
+    assert list(tmp_path.iterdir()) == [target]
 
 
 def dead_process():

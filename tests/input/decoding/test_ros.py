@@ -11,7 +11,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.input.decoding import Context, context_of_channel, decode
 from roadperc_stream.log import Channel
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14, CARLA_FROM_0_9_14
-from roadperc_stream.schemas import ros2
+from roadperc_stream.schemas import cdr, ros2
 from tests import rosbag
 from tests.analytic import box
 
@@ -140,6 +140,15 @@ def test_tags_are_numbers_of_a_table_or_its_colours():
     assert [before.table.name_of(tag) for tag in before.tags[0]] == ["road", "vehicle", "road_line"]
 
 
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+def test_tags_of_16_bits_are_the_numbers_themselves(encoding):
+    tags = np.array([[0, 1, 24]], "<u2")
+    found = read("tags", ros2.IMAGE, image(encoding, tags), table=CARLA_FROM_0_9_14).payload.tags
+    assert (found.dtype, found.tolist()) == (np.uint8, tags.tolist())
+    with pytest.raises(DecodeError, match=r"6144.*0 to 255"):
+        _ = read("tags", ros2.IMAGE, image(encoding, tags * 256), table=CARLA_FROM_0_9_14).payload.tags
+
+
 def test_instance_masks_are_numbers_in_green_and_blue():
     pixels = np.array([[(2, 1, 14, 255), (0, 7, 12, 255)]], np.uint8)
     found = read("instances", ros2.IMAGE, image("bgra8", pixels)).payload
@@ -177,6 +186,11 @@ def test_impossible_pixels_are_an_error(message, words):
             getattr(found, pixels)
 
 
+def test_colours_are_refused_as_depth():
+    with pytest.raises(DecodeError, match="depth of encoding 'bgr8': expected one of 16UC1"):
+        _ = read("depth", ros2.IMAGE, image("bgr8", BGR)).payload.depth_m
+
+
 def compressed(layout, data):
     return {"header": rosbag.header(STAMP, "camera"), "format": layout, "data": data}
 
@@ -204,6 +218,33 @@ def test_compressed_depth_of_both_kinds():
     depth = read("depth", COMPRESSED, compressed("32FC1; compressedDepth", head + png(quantised))).payload
     np.testing.assert_allclose(depth.depth_m, [[2.5, np.nan, np.nan]], rtol=1e-6)
     assert depth.limit_m == np.inf
+
+
+@pytest.mark.parametrize(
+    ("layout", "data", "words"),
+    [
+        ("16UC1; compressedDepth rvl", bytes(30), "18 bytes are not an image"),
+        ("16UC1; compressedDepth", b"abc", "3 bytes, expected a header"),
+        ("16UC1; compressedDepth", bytes(12) + png(GREY), "16 bits a pixel"),
+        ("32FC1; png compressed", png(GREY.astype(np.uint16)), "expected 16UC1, or compressedDepth"),
+    ],
+    ids=["rvl", "short", "8 bits", "floats"],
+)
+def test_unreadable_compressed_depth_is_an_error(layout, data, words):
+    found = read("depth", COMPRESSED, compressed(layout, data)).payload
+    with pytest.raises(DecodeError, match=words):
+        _ = found.depth_m
+
+
+def test_compressed_depth_is_refused_as_image():
+    with pytest.raises(DecodeError, match="that is depth"):
+        read("image", COMPRESSED, compressed("16UC1; compressedDepth", b""))
+
+
+def test_compressed_tags_in_colours():
+    colours = np.array(CARLA_FROM_0_9_14.colours, np.uint8)[[[1, 2]]]
+    found = read("tags", COMPRESSED, compressed("png", png(np.ascontiguousarray(colours[..., ::-1])))).payload
+    np.testing.assert_array_equal(found.tags, [[1, 2]])
 
 
 def info(**other):
@@ -260,6 +301,12 @@ def test_points_are_decoded_row_by_row():
         np.testing.assert_array_equal(found.points_m, rows[..., :3].reshape(-1, 3))
 
 
+def test_points_of_whole_numbers_keep_their_sign():
+    rows = np.array([[[-1, 2, 3, 4]]], np.int32)
+    fields = [rosbag.field("x", 0, 5), rosbag.field("y", 4, 6), rosbag.field("z", 8, 5)]
+    np.testing.assert_array_equal(read("points", CLOUD, cloud(rows, fields=fields)).payload.points_m, [[-1, 2, 3]])
+
+
 @pytest.mark.parametrize(
     ("other", "words"),
     [
@@ -293,6 +340,14 @@ def test_detections_of_humble():
     assert (first.label, first.score, first.id) == ("car", 0.5, "7")
     assert first.box_px == box("", 10, 20, 50, 40).box_px
     assert (second.label, second.score) == ("", 0.0)
+
+
+def test_a_rotated_box_becomes_the_box_around_it():
+    car = rosbag.detection(box("", 10, 20, 50, 40).box_px, "car", 0.5)
+    car["bbox"]["center"]["theta"] = math.pi / 2
+    (found,) = read("detections", rosbag.DETECTIONS, detections(car)).payload
+    sides = (found.box_px.x_min, found.box_px.y_min, found.box_px.x_max, found.box_px.y_max)
+    assert sides == pytest.approx((20, 10, 40, 50))
 
 
 def test_detections_of_foxy_are_read_by_the_layout_in_the_log():
@@ -342,6 +397,34 @@ def test_transforms_and_poses():
     pose = read("pose", "geometry_msgs/msg/PoseStamped", {"header": rosbag.header(STAMP, "map"), "pose": POSE})
     assert (pose.payload.parent, pose.payload.child, pose.stamp_ns) == ("map", "ego", STAMP)
     np.testing.assert_allclose(pose.payload.parent_T_child, TURNED, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("definition", "encoding", "words"),
+    [
+        (b"", "ros2msg", "the log does not define sensor_msgs/msg/CameraInfo"),
+        (b"!!", "ros2msg", "cannot be read"),
+        (b"\xff\xfe", "ros2msg", "cannot be read"),
+        (b"std_msgs/Header header\n", "ros2msg", "type 'std_msgs/msg/Header' is not defined"),
+        (b"uint8 x\n", "protobuf", "definition in encoding protobuf: expected ros2msg, "),
+    ],
+    ids=["none", "text", "bytes", "part", "encoding"],
+)
+def test_an_incomplete_definition_is_an_error(definition, encoding, words):
+    with pytest.raises(DecodeError, match=words):
+        decode("calibration", INFO, "cdr", b"\x00\x01\x00\x00" + bytes(400), STAMP, Context(None, definition, encoding))
+
+
+def test_definitions_in_idl_are_read():
+    rule = "=" * 80 + "\n"
+    text = (
+        f"{rule}IDL: demo/msg/Point\nmodule demo {{ module msg {{ struct Point {{ double x; double y; }}; }}; }};\n"
+        f"{rule}IDL: demo/msg/Pair\n"
+        "module demo { module msg { struct Pair { uint8 n; demo::msg::Point at; }; }; };\n"
+    )
+    body = bytes([5]) + bytes(7) + np.array([1.5, -2.0]).tobytes()
+    found = cdr.read(b"\x00\x01\x00\x00" + body, "demo/msg/Pair", text.encode(), "ros2idl")
+    assert (found.n, found.at.x, found.at.y) == (5, 1.5, -2.0)
 
 
 def test_the_first_transforms_of_ros_1_are_read():
