@@ -82,7 +82,9 @@ class Results:
             TargetError: a file cannot be written, has the suffix of an input, or is named twice.
         """
         for place, path in enumerate(files.paths):
-            require_result(path)
+            if path.suffix.lower() in _INPUTS:
+                expected = "expected the name of a result, not of a log, a table or a criteria file"
+                raise TargetError(f"{path}: {expected}")
             if real_path(path) in map(real_path, files.paths[:place]):
                 raise TargetError(f"{path}: two options name it; give each result its own file")
         if files.json is not None:
@@ -98,17 +100,6 @@ class Results:
         lines = "\n".join(f"- {markdown_text(line)}" for line in (*self.head, *texts, *self.tail))
         tables = (table.markdown() for table in self.tables if isinstance(table, Table))
         return "\n\n".join(filter(None, (f"## {markdown_text(self.title)}", lines, *tables))) + "\n"
-
-
-def require_result(path: Path) -> Path:
-    """The path of a result.
-
-    Raises:
-        TargetError: it has the suffix of an input.
-    """
-    if path.suffix.lower() in _INPUTS:
-        raise TargetError(f"{path}: expected the name of a result, not of a log, a table or a criteria file")
-    return path
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

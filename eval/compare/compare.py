@@ -22,7 +22,7 @@ from ..runs import Run
 from .comparison import compare_runs
 from .fields import same_except_times
 from .pairing import Pairing, logged_runs, pair_runs
-from .summary import print_comparison, write_results
+from .summary import for_people, for_programs
 
 Copy = tuple[Path, Path]
 """A table of the new run, and its place in the base."""
@@ -67,9 +67,9 @@ def compare(base: str, new: str | None, options: CompareOptions, files: ResultFi
         pairing = pair_runs(*sides, options.other_log)
         logs = (path, Path(new)) if new and path.suffix == Path(new).suffix == ".mcap" else None
         found = compare_runs(pairing, logs, _rules(options))
-        write_results(found, files, exact=options.exact)
+        for_programs(found, exact=options.exact).write(files)
         with optional_output():
-            print_comparison(console_for(sys.stdout), found, full=options.full, all_fields=options.exact)
+            for_people(found, full=options.full, all_fields=options.exact).print(console_for(sys.stdout))
     if options.update_reference:
         _update(_copies(path, pairing))
     elif found.regressions:

@@ -6,9 +6,6 @@ from collections.abc import Iterator
 from itertools import groupby
 from typing import Any, Final, get_args
 
-from rich.console import Console
-
-from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import Row, Table
 from roadperc_stream.schemas.columns import RATIO, UNITLESS
 from roadperc_stream.system.text import listed, number
@@ -16,7 +13,8 @@ from roadperc_stream.system.text import listed, number
 from ..configurations import UNKNOWN, short_digest
 from ..frame_commands import view_pair_command
 from ..report_columns import QUALITY, SEEN
-from ..results import Case, Outcome, ResultFiles, Results
+from ..results import Case, Outcome, Results
+from ..runs import Run
 from .bootstrap import LEVEL, MANY_LOGS
 from .comparison import CauseGroup, Comparison
 from .fields import Agreement, Agreements, Value
@@ -36,34 +34,30 @@ _BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p9
 _BOUNDS: Final = f"{LEVEL:.0%} from", "to"
 
 
-def print_comparison(console: Console, found: Comparison, *, full: bool, all_fields: bool) -> None:
-    """Print the verdict in a few lines; with ``full`` also the tables of metrics and times, and fields that differ.
+def for_people(found: Comparison, *, full: bool, all_fields: bool) -> Results:
+    """The verdict in a few lines; with ``full`` also the tables of metrics and times, and fields that differ.
 
-    With ``all_fields`` print every field that differs, else the first ones.
+    With ``all_fields`` every field that differs, else the first ones.
     """
-    print_lines(console, *summary(found, full=full), unbroken=True)
-    if full:
-        if len(found.pairing.pairs) == 1:
-            (pair,) = found.pairing.pairs
-            for side, run in (("base", pair.base), ("new", pair.new)):
-                config, version = short_digest(run.config_digest), run.version or UNKNOWN
-                identity = f"log {run.log_id}, configuration {config}, version {version}"
-                print_lines(console, *[""] * (side == "base"), f"{side} {run.source_name}: {identity}", unbroken=True)
-        for table in (_metrics_table(found), _times(found)):
-            print_table(console, table)
-    if full or all_fields:
-        print_lines(console, *_fields(found, all_fields=all_fields), unbroken=True)
+    title, head, fields = "Comparison", list(summary(found, full=full)), _fields(found, all_fields=all_fields)
+    if not full:
+        return Results("compare", title, head, tail=list(fields) if all_fields else ())
+    if len(found.pairing.pairs) == 1:
+        (pair,) = found.pairing.pairs
+        head += ["", _identity("base", pair.base), _identity("new", pair.new)]
+    return Results("compare", title, head, [_metrics_table(found), _times(found)], list(fields))
 
 
-def write_results(found: Comparison, files: ResultFiles, *, exact: bool) -> None:
-    """Write the files for other programs; with ``exact`` also each field as a JUnit case.
+def _identity(side: str, run: Run) -> str:
+    config, version = short_digest(run.config_digest), run.version or UNKNOWN
+    return f"{side} {run.source_name}: log {run.log_id}, configuration {config}, version {version}"
 
-    Raises:
-        TargetError: a file cannot be written.
-    """
+
+def for_programs(found: Comparison, *, exact: bool) -> Results:
+    """The verdict, the metrics and all figures for files; with ``exact`` also each field as a JUnit case."""
     first, *lines = summary(found)
     title, tables, cases = f"Comparison: {first}", [_metrics_table(found)], list(_cases(found, exact=exact))
-    Results("compare", title, lines, tables, values=_as_json(found), cases=cases).write(files)
+    return Results("compare", title, lines, tables, values=_as_json(found), cases=cases)
 
 
 def _as_json(found: Comparison) -> dict[str, Any]:

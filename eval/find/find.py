@@ -11,7 +11,7 @@ from typing import Any, Final
 import polars as pl
 
 from roadperc_stream.errors import TableError
-from roadperc_stream.output.terminal import console_for, print_lines
+from roadperc_stream.output.terminal import console_for
 from roadperc_stream.system.text import number, shown
 
 from ..continued import find_joined
@@ -21,7 +21,7 @@ from ..dataset.place import DONE, NO_TABLES, Dataset, dataset_at, metrics_files,
 from ..dataset.reading import metrics_tables
 from ..frame_commands import view_command, view_dataset_command
 from ..frames import runs_of_keys
-from ..results import require_result, write_json
+from ..results import ResultFiles, Results
 from ..runs import Run
 from ..scan import objects_of, rows_of
 from .events import Clips, Condition, Event, Logs, condition_of, events_of, matches
@@ -58,11 +58,11 @@ def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> N
     found = matches(logs, condition, schema).join(logs.absent, on=LOG, how="anti")
     rows = events_of(found, query.gap_s, query.least_s, lowest=condition.lowest)
     events = [_event(row, logs, clips.folder if clips else None) for row in rows.iter_rows(named=True)]
-    if json:
-        of_events = [vars(event) | {"seconds": event.seconds} for event in events]
-        values = {"condition": query.condition, "peak": condition.peak, "events": of_events}
-        write_json(require_result(json), values)
-    print_lines(console_for(sys.stdout), *_lines(events, condition, query.condition), unbroken=True)
+    of_events = [vars(event) | {"seconds": event.seconds} for event in events]
+    values = {"condition": query.condition, "peak": condition.peak, "events": of_events}
+    results = Results("find", "Events", [*_lines(events, condition, query.condition)], values=values)
+    results.write(ResultFiles(json))
+    results.print(console_for(sys.stdout))
     if events and clips:
         from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
 

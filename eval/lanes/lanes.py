@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 from roadperc_stream.geometry import Float
 from roadperc_stream.metrics.lanes import CULANE_THRESHOLDS as THRESHOLDS
 from roadperc_stream.metrics.lanes import Counts, TuSimpleScore, counts_above, line_overlaps, tusimple
-from roadperc_stream.output.terminal import console_for, print_parts
+from roadperc_stream.output.terminal import console_for
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.topics import LANES_TOPIC
 from roadperc_stream.system.files import real_path
@@ -18,6 +19,7 @@ from roadperc_stream.system.text import listed, number, whole_number
 
 from ..options import LanePairing
 from ..report_columns import percent
+from ..results import Results
 from .lane_files import LaneFileError, LaneFrame, default_rows, image_name, lane_writer, read_frames, read_list
 from .precision_recall import Score
 from .run_lanes import RunFrame, RunLanes, lane_frame, open_lanes
@@ -66,10 +68,10 @@ def print_lanes(
     lines = _read_truth(true_lanes, source, size) if true_lanes else []
     truth, pairing = _by_key(lines, pairing, source.images_ns)
     with lane_writer(target) as write:
-        parts = _write_and_score(source, truth, pairing, size, write) if truth else [_export(source, size, write)]
+        found = _write_and_score(source, truth, pairing, size, write) if truth else _export(source, size, write)
     others = f"left out: {number(len(lines) - len(truth), 'line')} of images that the log does not have"
     notes = [others] * (len(truth) < len(lines)) + [f"note: {_NO_LANES}"] * (not source.has_lanes)
-    print_parts(console_for(sys.stdout), *parts, *notes)
+    replace(found, tail=notes).print(console_for(sys.stdout))
 
 
 def _read_truth(path: Path, source: RunLanes, size: _Size) -> list[LaneFrame]:
@@ -110,21 +112,21 @@ def _stamp_ns(frame: LaneFrame) -> int:
     return stamp_ns
 
 
-def _export(source: RunLanes, size: _Size, write: _Write) -> str:
-    """Write every frame; a line with the number of frames and of frames with lanes."""
+def _export(source: RunLanes, size: _Size, write: _Write) -> Results:
+    """Write every frame; the result is the number of frames and of frames with lanes."""
     name, rows = source.summary.path.stem, default_rows(size[1])
     has_lanes = []
     for frame in source.frames():
         found = lane_frame(frame, source.camera, size, f"{name}/{frame.stamp_ns}", rows)
         has_lanes.append(bool(found.lanes))
         write(found)
-    return f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"
+    return Results("lanes", "Lanes", [f"{name}: {len(has_lanes)} frames, lanes in {sum(has_lanes)}"])
 
 
 def _write_and_score(
     source: RunLanes, truth: Mapping[int, LaneFrame], pairing: LanePairing, size: _Size, write: _Write
-) -> list[str | Table]:
-    """Write and score the frames that have truth; the lines and tables to print."""
+) -> Results:
+    """Write and score the frames that have truth."""
     scores: list[FrameScore] = []
     missing = {true.raw_file: true for true in truth.values()}
     for frame, true in _paired(source, truth, pairing):
@@ -178,7 +180,7 @@ def _polylines(frame: LaneFrame) -> list[Float]:
     return [lane for lane in lanes if len(lane) > 1]
 
 
-def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> list[str | Table]:
+def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) -> Results:
     """TuSimple's scores as means over frames and CULane's counts as sums, as in the benchmarks; at least one score.
 
     ``scores`` are of all true frames, including the ``missing`` ones, which the run lacks. TuSimple's limit of
@@ -190,9 +192,12 @@ def _figures(name: str, scores: Sequence[FrameScore], missing: Sequence[str]) ->
     counts = np.array([score.counts for score in scores]).sum(axis=0).tolist()
     culane = (Score(f"lanes at IoU {limit:g}", *each) for limit, each in zip(THRESHOLDS, counts, strict=True))
     headers = ("frames %", "precision", "recall", "F1", "TP", "FP", "FN")
-    return [
+    head = [
         f"{name}: {number(len(scores), 'true frame')}, lanes in {with_lanes} of them ({share} %)",
         *([f"missing in the run, scored as empty: {len(missing)}: {listed(missing, NAMED)}"] if missing else []),
+    ]
+    tables = [
         Table("TuSimple", ("frames %", "accuracy", "FP", "FN"), (("lane points", share, *points),)),
         Table("CULane", headers, tuple((score.name, share, *score.cells(4)) for score in culane)),
     ]
+    return Results("lanes", "Lanes", head, tables)

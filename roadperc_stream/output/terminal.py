@@ -50,15 +50,6 @@ def print_table(console: Console, table: Table) -> None:
         print_lines(console, "", *(f"{table.title}: {note}" for note in table.notes))
 
 
-def print_parts(console: Console, *parts: str | Table) -> None:
-    """Print lines, which do not wrap, and tables in order."""
-    for part in parts:
-        if isinstance(part, str):
-            print_lines(console, part, unbroken=True)
-        else:
-            print_table(console, part)
-
-
 def _rendered(table: Table, width: int) -> RichTable:
     """A table without borders: labels on the left, columns of numbers, optionally a last column of text."""
     rendered = RichTable(
