@@ -106,8 +106,9 @@ def test_a_replay_without_its_predecessor_is_evaluated_separately(tmp_path):
     first, _, last = continued(tmp_path)
     found = find_joined([first, last])
     assert [(run.name, run.frames) for run in found.runs] == [("out_0", 8), ("out_2", 10)]
-    (note,) = found.notes
-    assert note.startswith(f"out_2: continues a replay that is not among these tables (log {LOGS[1]}, ")
+    missing = f"log {LOGS[1]}, same configuration, version and columns"
+    apart = f"out_2: continues a replay that is not among these tables ({missing}) at frame 10"
+    assert list(found.notes) == [f"{apart}; evaluated separately"]
 
 
 def test_a_reference_of_continued_replays_is_created_and_updated(tmp_path, capsys):
