@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.chain.stages.lanes import lines
-from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, pitch_of_segments
+from roadperc_stream.chain.stages.odometry.camera_pitch import LANES_STEEPEST, LINES_STD, pitch_of_segments
 from roadperc_stream.chain.stages.odometry.keyframes import OdometryState
 from roadperc_stream.chain.stages.surface.road import KnownPitch, SurfaceState
 from roadperc_stream.config import ReplayConfig
@@ -58,7 +58,8 @@ def _by_lanes(cfg: ReplayConfig, frame: Frame) -> KnownPitch | None:
     proposals = lines.propose(cfg.lanes, lines.edges_of(cfg.lanes, separators), visible)
     found = lines.on_road(proposals, road.view(bool))
     longest = np.argsort(-np.linalg.norm(found[:, 2:] - found[:, :2], axis=1), kind="stable")[:_MOST_LINES]
-    pitch = pitch_of_segments(part(frame.camera, n, n), frame.ego_T_camera, found[longest], _FEWEST_LINES)
+    camera = part(frame.camera, n, n)
+    pitch = pitch_of_segments(camera, frame.ego_T_camera, found[longest], _FEWEST_LINES, LANES_STEEPEST)
     if pitch is None or abs(pitch[0]) < _SIGMAS * np.sqrt(pitch[1]):
         return None
     return KnownPitch(*pitch, "the lanes' vanishing point")

@@ -1,5 +1,6 @@
 """The evidence of one frame for the findings of a replay: facts that no column of its row holds."""
 
+from math import degrees
 from typing import Final
 
 import numpy as np
@@ -7,7 +8,8 @@ import numpy as np
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, inverse, transform_plane
-from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth
+from roadperc_stream.geometry.planes import angle_between
+from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth, Surface
 from roadperc_stream.model.finding import Evidence
 
 _COMPARED: Final = 64
@@ -45,7 +47,15 @@ def evidence_of(cfg: ReplayConfig, frame: Frame, result: FrameResult) -> Evidenc
         rough_ratio=None if sensor_m is None else rough_ratio(sensor_m),
         road_known_ratio=road[0],
         road_depth_ratio=road[1],
+        pitch_deg=_pitch_deg(frame, result.front_surface),
     )
+
+
+def _pitch_deg(frame: Frame, road: Surface | Absent) -> float | None:
+    """Angle between an estimated road and that of the mounting, degrees; None if the road has another source."""
+    if isinstance(road, Absent) or road.source != "estimated":
+        return None
+    return degrees(angle_between(frame.ego_T_camera[:3, :3] @ road.plane.n, np.array([0.0, 0.0, 1.0])))
 
 
 def rough_ratio(depth_m: Float32) -> float | None:

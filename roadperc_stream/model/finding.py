@@ -45,9 +45,11 @@ class Evidence:
         rough_ratio: share of neighbouring pixels of the depth image whose depths differ by metres.
         road_known_ratio: share of the road's pixels with a depth, from camera or stereo.
         road_depth_ratio: median of their depth / the depth of the ground there.
+        pitch_deg: pitch beyond the mounting that motion or lanes show without depth, either way.
     """
 
     mounting_m: float | None = None
     rough_ratio: float | None = None
     road_known_ratio: float | None = None
     road_depth_ratio: float | None = None
+    pitch_deg: float | None = None

@@ -24,6 +24,8 @@ _ROUGH: Final = 0.3
 _WIDTHS_M: Final = (2.3, 4.8)
 _USUAL_LANE_M: Final = 3.5
 _FEWEST_WIDTHS: Final = 3
+_STEEPEST_DEG: Final = 8.0
+"""Largest pitch of a camera whose mounting is said to be level; the horizon is still well inside the image."""
 _HIGH_M: Final = 3.0
 """Camera height above which a rejected wide lane counts. Else a line is missing, and that of the next lane is seen."""
 _ROAD_FACTOR: Final = 10.0
@@ -62,6 +64,7 @@ class Contradictions:
         frames = self._frames.values
         rough = depth_rough([found.rough_ratio for _, found in frames if found.rough_ratio is not None])
         of_road = (camera_height(frames), road_depth(frames), lane_width(frames)) if rough is None else (rough,)
+        of_road = (*of_road, camera_pitch([found.pitch_deg for _, found in frames if found.pitch_deg is not None]))
         return tuple(found for found in (*of_road, *self._poses.findings()) if found is not None)
 
 
@@ -88,6 +91,18 @@ def camera_height(frames: Frames) -> Finding | None:
         return None
     factor = f" ({_plain(height_m / mounting_m)} times)" if mounting_m > 0 else ""
     return Finding("camera_height", f"{said}, {_metres(mounting_m)} by the transforms{factor}; {wrong}")
+
+
+def camera_pitch(pitches_deg: Sequence[float]) -> Finding | None:
+    """Whether lanes or motion show a horizon far from that of the mounting, in most frames that show one."""
+    if len(pitches_deg) < _FEWEST_WIDTHS or median(pitches_deg) <= _STEEPEST_DEG:
+        return None
+    return Finding(
+        "camera_pitch",
+        f"the lanes or the motion show a pitch of the camera {_plain(median(pitches_deg))} degrees from its mounting, "
+        f"expected at most {_STEEPEST_DEG:g}; field of view, pitch of the mounting or lens is wrong: pass --fov or "
+        "--calibration to roadperc-convert",
+    )
 
 
 def depth_rough(shares: Sequence[float]) -> Finding | None:

@@ -22,7 +22,7 @@ MOUNTING = rigid(EGO_R_OPTICAL, np.array([0.0, 0.0, 1.5]))
 ROAD, LINE = (TABLE.names.index(name) for name in ("road", "road_line"))
 
 
-def still(pitch_deg, lines_m=(-1.75, 1.75)):
+def still(pitch_deg, lines_m=(-1.75, 1.75), assumed=CAMERA):
     """A still of straight lines by a camera that looks down by ``pitch_deg``, with a level mounting."""
     looks = MOUNTING.copy()
     looks[:3, :3] = rotation_from_rpy(0.0, np.deg2rad(pitch_deg), 0.0) @ MOUNTING[:3, :3]
@@ -31,10 +31,10 @@ def still(pitch_deg, lines_m=(-1.75, 1.75)):
         corners = np.array([(x, y, 0.0) for x, y in ((3.0, left_m), (60.0, left_m), (60.0, right_m), (3.0, right_m))])
         px = np.rint(project(CAMERA, transform(inverse(looks), corners))).astype(np.int32)
         cv2.fillPoly(tags, [px], tag)
-    return scene_of(CAMERA, MOUNTING, tags=tags, table=TABLE)
+    return scene_of(assumed, MOUNTING, tags=tags, table=TABLE)
 
 
-@pytest.mark.parametrize("pitch_deg", [-6.0, -2.5, 3.0, 6.0])
+@pytest.mark.parametrize("pitch_deg", [-9.0, -6.0, -2.5, 3.0, 6.0, 10.0])
 def test_the_lanes_of_a_still_show_the_pitch(pitch_deg):
     pitch = known_pitch(CFG, SurfaceState(), OdometryState(), still(pitch_deg))
     assert np.degrees(pitch.offset) == pytest.approx(pitch_deg, abs=0.15)

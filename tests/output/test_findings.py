@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from roadperc_stream import log
+from roadperc_stream.chain.step import State, step
 from roadperc_stream.cli import check, info, replay, report
 from roadperc_stream.config import load_config
 from roadperc_stream.geometry.rotations import quaternion, rotation_from_rpy
-from roadperc_stream.metrics.evidence import road_depth, rough_ratio, searched_depths
+from roadperc_stream.metrics.evidence import evidence_of, road_depth, rough_ratio, searched_depths
 from roadperc_stream.model import Reason
 from roadperc_stream.model.finding import Evidence, Finding, decoded_findings, encoded_findings
 from roadperc_stream.output import encoding
@@ -20,6 +21,7 @@ from roadperc_stream.output.spread import Spread
 from roadperc_stream.output.tables import read_footer, sidecar_path
 from roadperc_stream.tools.readers.depth_files import carla_metres
 from tests import logs, replaying
+from tests.chain.test_road_pitch import CAMERA, still
 from tests.eval.tables import outcome, row
 from tests.resume.test_kills import interrupt, same
 
@@ -143,6 +145,16 @@ def test_depth_in_the_wrong_byte_order_is_rough_and_depth_with_noise_is_not():
     assert rough_ratio(noisy_m) < 0.1
     assert rough_ratio(swapped_m) > 0.5
     assert rough_ratio(np.full_like(DEPTH_M, 3.0)) is None
+
+
+@pytest.mark.parametrize(("narrow", "is_found"), [(1.0, False), (0.7, True), (0.5, True)])
+def test_a_wrong_field_of_view_moves_the_horizon_of_stills(narrow, is_found):
+    camera = replace(CAMERA, fx=CAMERA.fx * narrow, fy=CAMERA.fy * narrow)
+    counter = Contradictions()
+    for number in range(3):
+        frame = still(6.0 + 0.1 * number, assumed=camera)
+        counter.add(row(number), evidence_of(CFG, frame, step(CFG, State(), frame)[1]))
+    assert [found.code for found in counter.findings()] == ["camera_pitch"] * is_found
 
 
 def test_heights_that_scatter_and_few_widths_are_no_finding():

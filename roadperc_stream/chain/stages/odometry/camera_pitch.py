@@ -26,6 +26,8 @@ LINES_STD: Final = np.deg2rad(0.6)
 """Additional standard deviation of the pitch by lines: they follow the road, which bends and climbs."""
 _STEEPEST: Final = np.deg2rad(8.0)
 """Search range of the point, radians from the mounting's horizon."""
+LANES_STEEPEST: Final = np.deg2rad(20.0)
+"""The same for lanes alone. Few other lines cross there, and a wrong field of view moves the point this far."""
 _WIDEST: Final = 0.5
 """Search range of the point to either side of ego's x axis, as a tangent."""
 _LEAST_LENGTH_PX: Final = 60.0
@@ -88,16 +90,18 @@ def pitch_by_lines(
     return pitch_of_segments(camera, ego_T_camera, _segments(camera, grey, movable), _LEAST_SEGMENTS)
 
 
-def pitch_of_segments(camera: Camera, ego_T_camera: Float, segments: Float, fewest: int) -> tuple[float, float] | None:
+def pitch_of_segments(
+    camera: Camera, ego_T_camera: Float, segments: Float, fewest: int, steepest: float = _STEEPEST
+) -> tuple[float, float] | None:
     """The pitch and its variance as in ``pitch_by_lines``, by (N, 4) segments x1, y1, x2, y2.
 
-    None if fewer than ``fewest`` segments agree.
+    None if fewer than ``fewest`` segments agree, or if the pitch is above ``steepest``, radians.
     """
     if len(segments) < fewest:
         return None
     points = _crossings(segments)
     elevation, ahead = _elevations(camera, ego_T_camera, points)
-    points = points[ahead & (np.abs(elevation) < _STEEPEST)]
+    points = points[ahead & (np.abs(elevation) < steepest)]
     if not len(points):
         return None
     lengths = np.linalg.norm(segments[:, 2:] - segments[:, :2], axis=1)
@@ -112,7 +116,7 @@ def pitch_of_segments(camera: Camera, ego_T_camera: Float, segments: Float, fewe
             return None
         point, variance_px = fitted
     elevation, ahead = _elevations(camera, ego_T_camera, point[None])
-    if not ahead[0] or abs(elevation[0]) > _STEEPEST:
+    if not ahead[0] or abs(elevation[0]) > steepest:
         return None
     return float(elevation[0]), variance_px / camera.fy**2 + float(LINES_STD) ** 2
 
