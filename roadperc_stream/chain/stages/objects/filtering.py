@@ -10,7 +10,7 @@ low quantile of the region's distances.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from math import inf, log
+from math import exp, hypot, inf, log, sqrt
 from typing import Final
 
 import cv2
@@ -18,8 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects import regions
+from roadperc_stream.chain.stages.objects.contact import MOST_STD_SHARE
 from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas, with_classes
-from roadperc_stream.chain.stages.objects.points import measured_by_points, measured_of_class, usual_heights
+from roadperc_stream.chain.stages.objects.points import (
+    RARE,
+    likely,
+    measured_by_points,
+    measured_of_class,
+    usual_heights,
+)
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured, Region, nearest, of_box
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
@@ -34,10 +41,18 @@ SAME_PLACE = 0.5
 _ROWS = 64
 """Number of candidates compared with all others at once; a detector may report thousands."""
 _NO_REGION: Final = (0.0, UNKNOWN)
-FITS_ALIKE = 0.1
-"""Difference below which fits count as equal."""
-AS_EXPECTED = 0.1
-"""Largest difference between the distance of a tracked object and the expected one, as a share."""
+_DOUBTFUL: Final = Measured(std_m=inf)
+"""The result if other regions, or the expected distance, are as likely."""
+AS_EXPECTED = 0.025
+"""Least standard deviation of the difference between a tracked object's distance and the expected one, as a share."""
+_AGREES: Final = 0.5
+"""Agreement from which regions that are much less likely are not measured."""
+_STEEPNESS: Final = 12
+"""Power of the fit that is the weight of a region."""
+_EXPECTED: Final = 0.75**_STEEPNESS
+"""Weight of the case that a tracked object is at its expected distance and none of the regions is the object."""
+_SEEN_AGAIN: Final = 3.0
+"""Factor of the weight of a region at a tracked object's expected distance, with which that case agrees."""
 LEAST_RATIO = 0.03
 """Minimum share of its class in the box of a new object, even if its region fits well."""
 _MIN_FIT = 0.7
@@ -55,7 +70,7 @@ def choose(
     labels: Sequence[str],
     candidates: Sequence[Sequence[Region]],
     measure: Callable[[Region], Measured],
-    expected_m: Mapping[int, float | None],
+    expected: Mapping[int, Measured],
 ) -> list[tuple[float, Measured]]:
     """Fit and distance of the region chosen for each detection; the best fits choose first.
 
@@ -65,44 +80,94 @@ def choose(
         labels: labels of the detections.
         candidates: candidate regions of each detection.
         measure: returns a region's distance; called only for regions that may be chosen.
-        expected_m: expected distance of an object that is already tracked, by the position of its detection.
+        expected: expected distance of an object that is already tracked, by the position of its detection.
     """
-    fits = _fits(candidates, measure := cache(measure), expected_m)
-    unordered = [region for of_one in candidates for region in of_one]
-    flat = [unordered[k] for k in sorted(range(len(fits)), key=lambda k: (-fits[k], k))]
-    chosen: dict[int, tuple[float, Measured]] = {}
-    claims: list[list[float | None]] = [[] for _ in flat]
-    for row, (region, together) in enumerate(zip(flat, _same_places(labels, flat), strict=True)):
-        if region.owner in chosen:
-            continue
-        measured = measure(region)
-        if not any(_apart(measured.distance_m, claim) < SAME_DISTANCE for claim in claims[row]):
-            chosen[region.owner] = region.fit, measured
+    measure = cache(measure)
+    unordered = [
+        (weight, region)
+        for owner, of_one in enumerate(candidates)
+        for weight, region in zip(_weights(of_one, measure, expected.get(owner, UNKNOWN)), of_one, strict=True)
+    ]
+    weighted = sorted(unordered, key=lambda candidate: -candidate[0])
+    chosen: dict[int, int] = {}
+    claims: list[list[float | None]] = [[] for _ in weighted]
+
+    def claimed(row: int) -> bool:
+        distance_m = measure(weighted[row][1]).distance_m
+        return any(_apart(distance_m, claim) < SAME_DISTANCE for claim in claims[row])
+
+    for row, together in enumerate(_same_places(labels, [region for _, region in weighted])):
+        region = weighted[row][1]
+        if region.owner not in chosen and not claimed(row):
+            chosen[region.owner] = row
             for other in np.flatnonzero(together).tolist():
-                claims[other].append(measured.distance_m)
-    return [chosen.get(owner, _NO_REGION) for owner in range(len(labels))]
+                claims[other].append(measure(region).distance_m)
+    others = {owner: [(_sharpness(one) * _EXPECTED, one)] for owner, one in expected.items()}
+    for row, (weight, region) in enumerate(weighted):
+        least = RARE * weighted[chosen[region.owner]][0] if region.owner in chosen else inf
+        if weight > least and row != chosen[region.owner] and not claimed(row):
+            others.setdefault(region.owner, []).append((weight, measure(region)))
+    found = [_NO_REGION] * len(labels)
+    for owner, row in chosen.items():
+        weight, region = weighted[row]
+        found[owner] = region.fit, _with_doubt(measure(region), weight, others.get(owner, ()))
+    return found
 
 
-def _fits(
-    candidates: Sequence[Sequence[Region]],
-    measure: Callable[[Region], Measured],
-    expected_m: Mapping[int, float | None],
-) -> list[float]:
-    """The fit of each candidate; among equal fits, the one at a tracked object's expected distance wins.
+def _weights(candidates: Sequence[Region], measure: Callable[[Region], Measured], expected: Measured) -> list[float]:
+    """The weight of each candidate of a detection.
 
-    If none is at that distance, the nearest to it wins over an uncertain one, which may join two objects.
+    For a tracked object, it is larger near the expected distance, and lower for uncertain distances, which may be of
+    two objects.
     """
-    fits = [[region.fit for region in of_one] for of_one in candidates]
-    for owner, distance_m in expected_m.items():
-        best = max(fits[owner], default=0.0)
-        alike = [k for k, fit in enumerate(fits[owner]) if fit > best - FITS_ALIKE]
-        if distance_m is None or len(alike) < 2:
-            continue
-        found = [measure(candidates[owner][k]) for k in alike]
-        off = [_apart(measured.distance_m, distance_m) for measured in found]
-        if min(off) < AS_EXPECTED or _doubt(found[0]) > AS_EXPECTED:
-            fits[owner][alike[off.index(min(off))]] = best + FITS_ALIKE
-    return [fit for of_one in fits for fit in of_one]
+    weights = [region.fit**_STEEPNESS for region in candidates]
+    if expected.distance_m is None:
+        return weights
+    least = 0.0
+    for k in sorted(range(len(weights)), key=lambda k: -weights[k]):
+        if weights[k] < least:
+            break
+        measured = measure(candidates[k])
+        agreement = _agreement(measured, expected)
+        weights[k] += agreement * (_SEEN_AGAIN * (weights[k] + _EXPECTED) - weights[k])
+        weights[k] *= _sharpness(measured)
+        if agreement > _AGREES:
+            least = RARE * weights[k]
+    return weights
+
+
+def _agreement(measured: Measured, expected: Measured) -> float:
+    """Likelihood of a distance, 0 to 1, for a tracked object; both may have a standard deviation."""
+    if measured.distance_m is None or expected.distance_m is None:
+        return 0.0
+    both = Measured(expected.distance_m, hypot(measured.std_m or 0.0, expected.std_m or 0.0))
+    sigmas = (measured.distance_m - expected.distance_m) / _std_m(both)
+    return _sharpness(both) * exp(-0.5 * sigmas**2)
+
+
+def _sharpness(measured: Measured) -> float:
+    """Relative probability density, 0 to 1, of a distance with a standard deviation; 0 if it is unknown."""
+    return AS_EXPECTED * measured.distance_m / _std_m(measured) if measured.distance_m else 0.0
+
+
+def _std_m(measured: Measured) -> float:
+    return hypot(AS_EXPECTED * (measured.distance_m or 0.0), measured.std_m or 0.0)
+
+
+def _with_doubt(measured: Measured, weight: float, others: Sequence[tuple[float, Measured]]) -> Measured:
+    """The distance with a deviation for the likely other hypotheses with their weights; doubtful if it is too large.
+
+    A distance within the deviation of another hypothesis does not contradict it.
+    """
+    distance_m, std_m = measured.distance_m, measured.std_m
+    if distance_m is None or std_m is None:
+        return measured
+    apart_m = [
+        (w, max(abs(m.distance_m - distance_m) - (m.std_m or 0.0), 0.0)) for w, m in others if m.distance_m is not None
+    ]
+    weights, off_m = np.array([(weight, 0.0), *apart_m]).T
+    others_m = sqrt(float(likely(weights) @ off_m**2))
+    return replace(measured, std_m=hypot(std_m, others_m)) if others_m < MOST_STD_SHARE * distance_m else _DOUBTFUL
 
 
 def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDArray[np.bool_]]:
@@ -116,11 +181,6 @@ def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDAr
         yield from (shared_areas(boxes[:, rows], boxes) > SAME_PLACE * smaller) & (kind[rows, None] == kind)
 
 
-def _doubt(measured: Measured) -> float:
-    """The standard deviation of a distance as a share of it; infinite if it is unknown."""
-    return measured.std_m / measured.distance_m if measured.std_m and measured.distance_m else inf
-
-
 def _apart(one_m: float | None, other_m: float | None) -> float:
     """Difference of two distances as a share; infinite if one is unknown or not positive."""
     if one_m is None or other_m is None or one_m <= 0 or other_m <= 0:
@@ -132,7 +192,7 @@ def filter_detections(
     cfg: ObjectsConfig,
     frame: Frame,
     detections: tuple[Detection, ...] | None,
-    expected_m: Mapping[int, float | None],
+    expected: Mapping[int, Measured],
 ) -> Objects | Absent:
     """Every detection with its class ratio, whether it is kept, and its distance.
 
@@ -140,7 +200,7 @@ def filter_detections(
         cfg: thresholds.
         frame: the frame; without tags every detection is kept.
         detections: in its image; None if the frame has no detections message.
-        expected_m: expected distance of an object that is already tracked, None if unknown, by the detection's
+        expected: expected distance of an object that is already tracked, None if unknown, by the detection's
             position. Such a detection needs a lower fit, and of equal fits the region at that distance wins.
 
     Returns:
@@ -149,10 +209,10 @@ def filter_detections(
     if detections is None:
         return Absent(Reason("objects", "no_detections"))
     lookups = [None if frame.table is None else label_lookup(frame.table, d.label) for d in detections]
-    chosen = _candidates(cfg, frame, detections, lookups, expected_m)
+    chosen = _candidates(cfg, frame, detections, lookups, expected)
     return Objects(
         tuple(
-            _filtered(cfg, frame, detection, lookup, candidate, k in expected_m)
+            _filtered(cfg, frame, detection, lookup, candidate, k in expected)
             for k, (detection, lookup, candidate) in enumerate(zip(detections, lookups, chosen, strict=True))
         )
     )
@@ -168,7 +228,7 @@ def _candidates(
     frame: Frame,
     detections: tuple[Detection, ...],
     lookups: list[Image | None],
-    expected_m: Mapping[int, float | None],
+    expected: Mapping[int, Measured],
 ) -> list[tuple[float, Measured]]:
     """Fit and distance of the region that is each detection's object."""
     if _has_points(frame) and cfg.distance_pixels == "region":
@@ -178,7 +238,7 @@ def _candidates(
     boxes = [detection.box_px for detection in detections]
     mosaic = cut_out(frame, lookups, boxes)
     found = regions.find_regions(frame.camera, mosaic, boxes)
-    needed = [_MIN_FIT_SEEN if k in expected_m else _MIN_FIT for k in range(len(boxes))]
+    needed = [_MIN_FIT_SEEN if k in expected else _MIN_FIT for k in range(len(boxes))]
     poor = [max((r.fit for r in of_one), default=0.0) <= fit for of_one, fit in zip(found, needed, strict=True)]
     if frame.table is not None and frame.instances is None and any(poor):
         ground = frame.table.lookup(_GROUND)
@@ -190,7 +250,7 @@ def _candidates(
         more = (_usual(cfg, frame, *of_one) for of_one in zip(detections, others, needed, strict=True))
         found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
     labels = [detection.label for detection in detections]
-    return choose(labels, found, lambda region: regions.of_region(cfg, region, frame.inverse_depth_std), expected_m)
+    return choose(labels, found, lambda region: regions.of_region(cfg, region, frame.inverse_depth_std), expected)
 
 
 def _has_points(frame: Frame) -> bool:
@@ -255,6 +315,7 @@ def _filtered(
     elif frame.depth_m is not None and measured == UNKNOWN and not claimed:
         distances = of_box(frame.camera, frame.depth_m, box, frame.depth_limit_m)
         measured = nearest(cfg, _counted(cfg, distances, of_class), frame.inverse_depth_std)
+    measured = UNKNOWN if measured == _DOUBTFUL else measured
     return Object(detection, kept, ratio, measured.distance_m, measured.std_m, beyond_range=measured.beyond_range)
 
 

@@ -12,6 +12,7 @@ from roadperc_stream.chain.stages.objects import rate_filter
 from roadperc_stream.chain.stages.objects.growth import GROWTH_WALK, Growth
 from roadperc_stream.chain.stages.objects.place import GroundPlace, Sighting, usual_speed_std_mps
 from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
+from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float
@@ -58,10 +59,11 @@ class ObjectTrack:
     ``box_px`` is its box at ``stamp_ns``, observed or predicted; ``x_px`` and ``y_px`` are the filters of its centre.
     It was last detected at ``detected_ns`` and last observed (detected or found by its template) at ``observed_ns``.
     It was observed in every frame from ``run_ns`` to ``observed_ns``; ``missed`` says whether a later frame did not
-    show it. ``rival_m`` is the filter of the distances beyond the gate since ``rival_ns``. ``right_m`` and ``left_m``
-    are the filters of its edges, metres to the left of the path's middle. ``ego_rate`` is the part of the distance's
-    rate that the car's own motion causes, None if unknown. ``nearest_ray`` is the direction of its nearest pixels,
-    ``jitter`` the jitter of its distances. ``growth`` is the growth of its box in frames without depth, and
+    show it. At ``agreed_ns``, the last distance updated ``distance_m``. ``rival_m`` is the filter of the distances
+    beyond the gate since ``rival_ns``. ``right_m`` and ``left_m`` are the filters of its edges, metres to the left of
+    the path's middle. ``ego_rate`` is the part of the distance's rate that the car's own motion causes, None if
+    unknown. ``nearest_ray`` is the direction of its nearest pixels, ``jitter`` the jitter of its distances. ``growth``
+    is the growth of its box in frames without depth, and
     ``ground_share`` the standard deviation that its ground distances share, as a share; None with depth. ``place`` is
     its place on the ground, None without depth or odometry.
     """
@@ -77,6 +79,7 @@ class ObjectTrack:
     observed_ns: int
     run_ns: int
     missed: bool = False
+    agreed_ns: int = 0
     rival_m: RateFilter | None = None
     rival_ns: int = 0
     template: Template | None = None
@@ -257,6 +260,15 @@ def confirmed(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
     return (track.observed_ns - track.run_ns) / NS_PER_S >= cfg.carry_after_s
 
 
+def expected(cfg: ObjectsConfig, track: ObjectTrack) -> Measured:
+    """The predicted distance of a track; unknown if observations have not agreed with it for ``objects.restart_s``."""
+    distance = track.distance_m
+    unconfirmed_s = (track.stamp_ns - track.agreed_ns) / NS_PER_S if track.agreed_ns < track.observed_ns else 0.0
+    if distance is None or unconfirmed_s > cfg.restart_s:
+        return UNKNOWN
+    return Measured(distance.value, sqrt(distance.value_var))
+
+
 def agrees(cfg: ObjectsConfig, track: ObjectTrack, item: Object) -> bool:
     """Whether an object has the predicted distance of a track."""
     if track.distance_m is None or item.distance_m is None:
@@ -281,27 +293,28 @@ def _with_distance(cfg: ObjectsConfig, track: ObjectTrack, item: Object, *, cut:
     # In each frame, another point of a cut object is the nearest one, so distances do not show its speed.
     dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
     change_mps = _turning_mps2(track.distance_m, track.nearest_ray) * dt_s
-    return replace(track, distance_m=track.distance_m.at(item.distance_m, std_m, change_mps), rival_m=None)
+    distance = track.distance_m.at(item.distance_m, std_m, change_mps)
+    return replace(track, distance_m=distance, rival_m=None, agreed_ns=track.stamp_ns)
 
 
 def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
     """The track after a distance, which updates the filter, the rival or a new rival, whichever fits."""
-    filtered, rival = track.distance_m, track.rival_m
-    new = Jitter.of_first(track.stamp_ns, distance_m, std_m)
+    filtered, rival, stamp_ns = track.distance_m, track.rival_m, track.stamp_ns
+    new = Jitter.of_first(stamp_ns, distance_m, std_m)
     if filtered is None:
-        return replace(track, distance_m=_first_distance(distance_m, std_m), jitter=new)
+        return replace(track, distance_m=_first_distance(distance_m, std_m), jitter=new, agreed_ns=stamp_ns)
     ours = filtered.surprise(distance_m, std_m)
     theirs = rival.surprise(distance_m, std_m) if rival else cfg.gate
     if ours <= min(theirs, cfg.gate):
         jitter = track.jitter.after(track.stamp_ns, filtered, distance_m, std_m) if track.jitter else new
         distance = filtered.update(distance_m, jitter.std(filtered, distance_m, std_m))
-        return replace(track, distance_m=distance, rival_m=None, jitter=jitter)
+        return replace(track, distance_m=distance, rival_m=None, jitter=jitter, agreed_ns=stamp_ns)
     if rival is None or theirs > cfg.gate:
         return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
     rival = rival.update(distance_m, std_m)
     if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
         return replace(track, rival_m=rival)
-    return replace(track, distance_m=rival, rival_m=None, jitter=new)
+    return replace(track, distance_m=rival, rival_m=None, jitter=new, agreed_ns=stamp_ns)
 
 
 def _turning_mps2(distance_m: RateFilter, nearest_ray: Ray | None) -> float:

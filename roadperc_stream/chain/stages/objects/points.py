@@ -65,7 +65,7 @@ _ALIKE_FILLED: Final = 2
 """Power of the relative number of points, times the area, that is the weight of another group."""
 _EMPTY: Final = 0.02
 """Weight of the case that no point is on the object."""
-_RARE: Final = 0.03
+RARE: Final = 0.03
 """Probability of hypotheses that a deviation need not cover."""
 _PART_M: Final[dict[tuple[str, ...], float]] = {("pedestrian",): 0.3, ("vehicle",): 1.5}
 """Depth of the visible side of an object: one point is anywhere on it, metres."""
@@ -142,16 +142,16 @@ def measured_of_class(cfg: ObjectsConfig, frame: Frame, detection: Detection, lo
     kind = classes_of_label(detection.label) or ()
     usual_m = _USUAL_M[kind][0] / height_per_m if kind in _USUAL_M else (1 + _UNSURE) * measured.distance_m
     apart_m = np.append(sorted_m[first], usual_m) - measured.distance_m
-    shares_of_all = _likely(np.append(weights, _EMPTY / counts[best]))
+    shares_of_all = likely(np.append(weights, _EMPTY / counts[best]))
     part_m = _PART_M.get(kind, max(_PART_M.values())) / sqrt(counts[best])
     return Measured(measured.distance_m, hypot(measured.std_m, sqrt(float(shares_of_all @ apart_m**2)), part_m))
 
 
-def _likely(weights: Float) -> Float:
-    """(K,) probabilities of hypotheses by their weights; 0 for the least probable ones, ``_RARE`` together."""
+def likely(weights: Float) -> Float:
+    """(K,) probabilities of hypotheses by their weights; 0 for the least probable ones, ``RARE`` together."""
     shares: Float = weights / weights.sum()
     order = np.argsort(shares, kind="stable")
-    shares[order[np.cumsum(shares[order]) < _RARE]] = 0.0
+    shares[order[np.cumsum(shares[order]) < RARE]] = 0.0
     return shares
 
 

@@ -19,6 +19,7 @@ from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
 from roadperc_stream.chain.stages.objects.object_track import ObjectTrack, distance_std_m
 from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
 from roadperc_stream.chain.stages.objects.place import Sighting, sighting
+from roadperc_stream.chain.stages.objects.regions import Measured
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, inverse
@@ -144,8 +145,8 @@ def _known(
     return known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
 
 
-def _expected(cfg: ObjectsConfig, frame: Frame, known: Sequence[ObjectTrack]) -> dict[int, float | None]:
-    """The positions of detections at a predicted object of their kind, with the predicted distance, None if unknown.
+def _expected(cfg: ObjectsConfig, frame: Frame, known: Sequence[ObjectTrack]) -> dict[int, Measured]:
+    """The positions of detections at a predicted object of their kind, with the predicted distance.
 
     Only confirmed tracks count. Among several objects, the one with the largest overlap counts.
     """
@@ -159,7 +160,7 @@ def _expected(cfg: ObjectsConfig, frame: Frame, known: Sequence[ObjectTrack]) ->
         overlap = overlaps(corners(track.box_px for track in tracks), boxes)
     overlap = np.where((overlap >= EXPECTED_OVERLAP) & (ours[:, None] == theirs), overlap, 0.0)
     best = overlap.argmax(axis=0)
-    distances = [None if track.distance_m is None else track.distance_m.value for track in tracks]
+    distances = [object_track.expected(cfg, track) for track in tracks]
     return {k: distances[best[k]] for k in np.flatnonzero(overlap.max(axis=0)).tolist()}
 
 
@@ -255,8 +256,8 @@ def _searched(
     boxes = [_sought(cfg, frame, track, matched) for track, (matched, _) in zip(tracks, matches, strict=True)]
     sought = [replace(track, box_px=box) for track, box in zip(tracks, boxes, strict=True) if box is not None]
     detections = tuple(replace(track.detection, box_px=track.box_px) for track in sought)
-    expected_m = {k: None if track.distance_m is None else track.distance_m.value for k, track in enumerate(sought)}
-    filtered = filter_detections(cfg, frame, detections, expected_m) if detections else None
+    expected = {k: object_track.expected(cfg, track) for k, track in enumerate(sought)}
+    filtered = filter_detections(cfg, frame, detections, expected) if detections else None
     items = iter(filtered.objects if isinstance(filtered, Objects) else ())
     return [
         _Searched(track, None, correlation)

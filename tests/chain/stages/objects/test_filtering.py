@@ -181,7 +181,7 @@ def test_an_object_with_displaced_tags_stands_out_in_depth(depth_m, kept):
 def test_an_expected_object_needs_a_lower_fit():
     too_small = (15, 22, 30, 36)
     assert not judged(too_small)[0].kept
-    assert judged(too_small, expected={0: None})[0].kept
+    assert judged(too_small, expected={0: Measured()})[0].kept
 
 
 def test_instances_override_the_depth():
@@ -260,8 +260,51 @@ def test_regions_without_distances_are_all_different():
     assert chosen(["Car"], []) == [NOTHING]
 
 
-@pytest.mark.parametrize(("expected_m", "chosen_m"), [(None, 16.5), (12.5, 12.6), (16.0, 16.5), (30.0, 16.5)])
-def test_the_expected_distance_decides_between_equal_fits(expected_m, chosen_m):
+@pytest.mark.parametrize(("expected_m", "chosen_m"), [(None, 16.5), (12.5, 12.6), (16.0, 16.5), (30.0, 30.0)])
+def test_the_expected_distance_decides_between_poor_fits(expected_m, chosen_m):
     regions = [candidate(0, 0.65, 16.5), candidate(0, 0.63, 12.6), candidate(0, 0.4, 30.0)]
-    ((_, measured),) = choose(["Car"], [regions], measure, {0: expected_m})
+    ((_, measured),) = choose(["Car"], [regions], measure, {0: Measured(expected_m)})
     assert measured.distance_m == chosen_m
+
+
+def test_a_good_fit_outweighs_the_expected_distance():
+    regions = [candidate(0, 0.95, 16.5), candidate(0, 0.6, 12.6)]
+    ((_, measured),) = choose(["Car"], [regions], measure, {0: Measured(12.5)})
+    assert measured.distance_m == 16.5
+    assert measured.std_m > 1.0
+
+
+def test_an_uncertain_region_gives_way_to_one_near_the_expected_distance():
+    regions = [candidate(0, 0.66, 16.5), candidate(0, 0.63, 12.6)]
+    stds_m = {16.5: 5.0, 12.6: 0.9}
+    ((_, measured),) = choose(
+        ["Car"], [regions], lambda region: replace(measure(region), std_m=stds_m[measure(region).distance_m]),
+        {0: Measured(11.0, 1.0)},
+    )  # fmt: skip
+    assert measured.distance_m == 12.6
+
+
+def test_the_deviation_covers_other_likely_regions():
+    """The weights are the twelfth powers of the fits; a region that fits much worse does not count."""
+    regions = [candidate(0, 0.72, 36.0), candidate(0, 0.70, 45.0), candidate(0, 0.4, 10.0)]
+    ((_, measured),) = choose(["Car"], [regions], measure, {})
+    share = 0.7**12 / (0.7**12 + 0.72**12)
+    assert (measured.distance_m, measured.std_m) == (36.0, pytest.approx(share**0.5 * (45 - 36), rel=0.02))
+    theirs = [candidate(1, 0.9, 45.0)]
+    assert choose(["Car", "Car"], [regions, theirs], measure, {})[0][1] == Measured(36.0, 0.1)
+
+
+def test_a_person_before_a_far_car_does_not_give_the_car_its_distance():
+    """Wrong tags leave a part of the person in the car's box."""
+    near = (12, 24, 20, 30)
+    (car,) = judged((8, 22, 24, 34), expected={0: Measured(20.0, 0.2)}, tags=tags_of_part(near))
+    assert (car.kept, car.distance_m, car.distance_std_m) == (True, None, None)
+    (car,) = judged((8, 22, 24, 34), expected={0: Measured(12.0, 0.2)}, tags=tags_of_part(near))
+    assert car.distance_m == pytest.approx(12.0, abs=0.5)
+
+
+def tags_of_part(part):
+    x0, y0, x1, y1 = part
+    tags = np.zeros(CAMERA.size, np.uint8)
+    tags[y0:y1, x0:x1] = VEHICLE
+    return tags

@@ -5,7 +5,8 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.objects import tracker
+from roadperc_stream.chain.stages.objects import object_track, tracker
+from roadperc_stream.chain.stages.objects.object_track import predict
 from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Absent, Box, Reason
@@ -113,6 +114,22 @@ def test_a_jump_is_accepted_after_restart_s(restart_s, frames):
         follower.frame(CAR, depth_m=10.0)
         accepted.append(follower.state.tracks[0].distance_m.value == pytest.approx(10.0, abs=0.1))
     assert accepted == [False] * frames + [True] * 2
+
+
+def test_a_distance_that_other_distances_contradict_is_not_expected_for_long():
+    """Else a nearer object in the same box would have no distance."""
+    follower = Follower()
+    for _ in range(20):
+        follower.frame(CAR, depth_m=20.0)
+    expected = []
+    for _ in range(6):
+        (track,) = follower.state.tracks
+        later = predict(CFG, track, track.stamp_ns + STEP_NS)
+        expected.append(object_track.expected(CFG, later).distance_m)
+        follower.frame(CAR, depth_m=8.0)
+    assert expected[:4] == [pytest.approx(20.0, abs=0.1)] * 4
+    assert expected[4] is None, "the distances have been wrong for longer than restart_s"
+    assert expected[5] == pytest.approx(8.0, abs=0.1), "the track restarted"
 
 
 @pytest.mark.parametrize(("gate", "accepted"), [(CFG.gate, False), (1e4, True)])
