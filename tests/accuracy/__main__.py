@@ -44,12 +44,14 @@ def main():
         said=lambda text: print(text, flush=True),
     )
     lines = [(figure, figure.measured(results)) for figure in figures]
-    print_table(lines)
+    shown = [line for figure, measured in lines for line in ((figure, measured), *figure.by_scene(results))]
+    print_table(shown)
+    print(summary(lines))
     print(f"{(time.monotonic() - started) / 60:.1f} minutes")
     if arguments.page:
         about = f"{results.about(figures)} {summary(lines)}."
         page = arguments.page.read_text(encoding="utf-8")
-        changed = with_tables(page, lines, about, whole=not arguments.only)
+        changed = with_tables(page, shown, about, whole=not arguments.only)
         arguments.page.write_text(changed, encoding="utf-8")
 
 
@@ -72,7 +74,6 @@ def print_table(lines):
             texts = (text.replace("[", r"\[") for text in cells(figure, measured))
             table.add_row(*texts, style=STYLES[measured.met])
     Console().print(table)
-    print(summary(lines))
 
 
 if __name__ == "__main__":

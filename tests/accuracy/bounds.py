@@ -1,6 +1,7 @@
 """Measured values, and the bounds that they are judged by."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
 
 DECIMALS = {"%": 1, "cm": 2, "mm": 2, "s": 2, "px": 3, "frames": 0, "": 4, "°": 4}
 
@@ -21,6 +22,8 @@ class Measured:
     text: str
     coverage: str
     met: bool | None
+    used: float | None = field(default=None, compare=False)
+    """The value, or what is missing to 100 %, as a share of its limit; None without a limit."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,12 @@ class Bound:
             return nothing(value.detail or "no such frame")
         text = f"{value.number:.{DECIMALS[self.unit]}f} {self.unit}".strip()
         text += f" ({value.detail})" if value.detail else ""
-        met = None if self.limit is None else value.number >= self.limit if self.low else value.number <= self.limit
-        return Measured(text, percent(value.coverage), met)
+        if self.limit is None:
+            return Measured(text, percent(value.coverage), None)
+        met = value.number >= self.limit if self.low else value.number <= self.limit
+        best = 0 if not self.low else 100 if self.unit == "%" else 1
+        used = share_of(abs(value.number - best), abs(self.limit - best))
+        return Measured(text, percent(value.coverage), met, used)
 
 
 def at_most(limit, unit="%"):
@@ -59,6 +66,11 @@ def at_least(limit, unit="%"):
 def nothing(why):
     """A figure that could not be measured."""
     return Measured(f"not measured: {why}", "", None)
+
+
+def share_of(value, limit):
+    """A value as a share of its limit, infinite above a limit of 0."""
+    return value / limit if limit else inf if value else 0.0
 
 
 def percent(share):

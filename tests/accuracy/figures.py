@@ -1,7 +1,8 @@
 """The list of figures, each with its scenarios and its required value."""
 
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from tests.accuracy import scenarios as of
@@ -13,6 +14,8 @@ REPORTED = Bound(None, "%")
 """A figure without a required value."""
 AT_10_M = partial(values.gross, place="ahead_m")
 P95 = {"share": 0.95}
+DIFFERS, MUCH_USED = 2.0, 0.5
+"""Scenes are shown one by one if one has more than this factor of another one's value, and of the limit."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,21 @@ class Figure:
         except LookupError as absent:
             return nothing(str(absent))
         return found if isinstance(found, Measured) else self.bound.judge(found)
+
+    def by_scene(self, results):
+        """The figures of single scenes with their values; none if all keep the limit well or hardly differ."""
+        of_scene = defaultdict(list)
+        for scenario in self.groups[0]:
+            of_scene[scenario.scene].append(scenario)
+        if len(self.groups) > 1 or len(of_scene) < 2:
+            return []
+        case, _, name = self.name.rpartition(": ")
+        titles = {scene: f"{f'{case}, ' * bool(case)}{scene}: {name}" for scene in of_scene}
+        figures = [replace(self, name=titles[scene], groups=(tuple(own),)) for scene, own in of_scene.items()]
+        lines = [(figure, figure.measured(results)) for figure in figures]
+        used = [measured.used for _, measured in lines if measured.used is not None]
+        differ = used and max(used) > MUCH_USED and max(used) > DIFFERS * min(used)
+        return lines if differ else []
 
 
 def lines(section, *groups):
@@ -133,6 +151,19 @@ def of_motion():
         yield line(f"{kind}: last pose", at_most(1), values.end_error)
 
 
+def of_standing():
+    """A camera alone that slows down and stands."""
+    for case, scenarios in of.STANDING.items():
+        line = lines("One camera, standing", scenarios)
+        yield line(f"{case}: largest drift while standing", at_most(10, "cm"), values.standing_drift)
+        title = f"{case}: steps that need more than {values.MOST_MPS2} m/s²"
+        yield line(title, at_most(0, "frames"), values.impossible_steps)
+        yield line(f"{case}: steps beyond 3 deviations", at_most(4), values.steps_beyond)
+        if case != "standing minute":
+            yield line(f"{case}: steps with scale", REPORTED, values.with_scale)
+            yield line(f"{case}: length of the path", REPORTED, values.length_error)
+
+
 DISTANCES = ((0, 10), (10, 20), (20, 40), (40, 80))
 OFF_BY_A_METRE = {"1+2 %": (1, 3, 4, 5), "2+5 %": (1, 5, 12, 15)}
 
@@ -163,6 +194,19 @@ def of_distances():
     yield from deviations(line, "", ("distance",))
 
 
+def beyond(line, prefix, quantities):
+    """Errors beyond three standard deviations, with the median deviation and the coverage."""
+    for quantity in quantities:
+        name = f"{prefix}{quantity} beyond 3 deviations"
+        yield line(name, at_most(values.QUANTITIES[quantity][0]), values.beyond, quantity=quantity)
+
+
+def of_other_depth():
+    """Stereo or a lidar as the only depth."""
+    for kind, scenarios in of.WITHOUT_DEPTH_CAMERA.items():
+        yield from beyond(lines("Stereo or lidar alone", scenarios), f"{kind}: ", ("distance", "closing speed"))
+
+
 def of_filter():
     """Detections kept and dropped."""
     for name, scenarios, precision, recall in (
@@ -191,6 +235,11 @@ def of_impact():
     yield line(f"{prefix}frames with a value", at_least(95), values.impact_known)
     yield line(f"{prefix}error, median", at_most(0.2, "s"), values.impact_error)
     yield line(f"{prefix}error, 95 %", at_most(0.5, "s"), values.impact_error, **P95)
+    for level, scenarios in of.VARIED_LEADS.items():
+        line, prefix = lines("Impact, varied drives", scenarios), f"noise {level}: "
+        yield line(f"{prefix}frames with a value", at_least(95), values.impact_known)
+        yield line(f"{prefix}error, median", at_most(0.2, "s"), values.impact_error)
+        yield from beyond(line, prefix, ("time to impact",))
     line = lines("Obstacle by its picture, course", of.COURSE_OBSTACLE)
     yield line("place", at_most(0, "px"), values.obstacle_place_off)
     yield line("distance", at_most(1, "mm"), values.obstacle_off)
@@ -210,6 +259,8 @@ def of_uncertainty():
         line = lines("Uncertainty", (*towns, *of.BRAKING[level]))
         yield from deviations(line, f"noise {level}: ", values.QUANTITIES)
     yield from deviations(lines("Uncertainty", of.SPARSE), "lidar alone: ", ("lane offset", "lane heading"))
+    for case, scenarios in of.LANE_TOWNS.items():
+        yield from beyond(lines("Lanes, town", scenarios), f"{case}: ", ("lane offset", "lane heading"))
 
 
 def of_one_camera():
@@ -249,7 +300,9 @@ FIGURES = (
     *of_noise(),
     *of_surface(),
     *of_motion(),
+    *of_standing(),
     *of_distances(),
+    *of_other_depth(),
     *of_filter(),
     *of_impact(),
     *of_uncertainty(),

@@ -56,7 +56,7 @@ def with_cases(shared):
     for case in dict.fromkeys(case for of_case in shared.values() for case in of_case):
         row = {name: of_case[case] for name, of_case in shared.items() if case in of_case}
         texts = (cell(*row[name], len(required[name]) > 1) if name in row else "" for name in shared)
-        rows.append((case, *texts, coverage(row.values())))
+        rows.append((case or "all scenes", *texts, coverage(row.values())))
     if not any(row[-1] for row in rows[1:]):
         rows = [row[:-1] for row in rows]
     return rows if len(rows) > len(shared) else list(zip(*rows, strict=True))

@@ -31,6 +31,11 @@ class Scenario:
     settings: tuple[str, ...] = ()
     template: str = ""
 
+    @property
+    def scene(self):
+        """The rendered scene; the scenario's name for a recording."""
+        return self.source.options.scene if isinstance(self.source, Drive) else self.name
+
 
 def replays(drives, noise, only, name="{}"):
     """Scenarios of some drives; ``name`` is a format for the drive's name."""
@@ -155,6 +160,15 @@ EXPOSURES = {
 STANDARD = (Scenario("sample", SAMPLE),)
 TOWN = of_town("town", 2.5, path_truth=True)
 TOWNS = {level: (Scenario(f"town, {level}", TOWN, noise, OBJECTS),) for level, noise in LEVELS.items()}
+LANE_TOWNS = {
+    f"{rate:g} Hz, noise {level}": replays((of,), noise, LANES, f"{{}}, lanes, {level}")
+    for rate, of in (
+        (5.0, TOWN),
+        (10.0, drive("town-10", 3.0, scene="town", seconds=5.0)),
+        (20.0, drive("town-20", 1.5, scene="town", rate_hz=20.0, seconds=4.0)),
+    )
+    for level, noise in LEVELS.items()
+}
 NOISY_TOWNS = {
     level: (Scenario(f"town, tags {level} %", TOWN, Noise(level / 100, 0.01), OBJECTS),) for level in (10, 20)
 }
@@ -172,6 +186,23 @@ PARKED = {
         ),
     )
     for kind in ("seen", "whole")
+}
+OTHER_DEPTH = {
+    "stereo": {"without": ("depth",)},
+    "lidar": {"lidar": True, "without": ("right", "depth")},
+}
+WITHOUT_DEPTH_CAMERA = {
+    kind: replays(
+        (
+            drive(f"alone-{kind}-town", scene="town", path_truth=True, seconds=4.0, **sensors),
+            drive(f"alone-{kind}-bend", scene="bend", path_truth=True, seconds=4.0, **sensors),
+            drive(f"alone-{kind}-lead", scene="straight", lead_brakes=True, **sensors),
+        ),
+        TAGS,
+        OBJECTS,
+        f"{{}}, {kind} alone",
+    )
+    for kind, sensors in OTHER_DEPTH.items()
 }
 WITHOUT_TAGS = {"only": "surface,objects"}
 UNTAGGED = {
@@ -198,6 +229,20 @@ MERGING = (
 )
 LEADS = tuple(drive(f"lead-{scene}", scene=scene, lead_brakes=True, seconds=5.0) for scene in ("straight", "bend"))
 BRAKING = {level: replays(LEADS, noise, OBJECTS, f"{{}}, {level}") for level, noise in LEVELS.items()}
+VARIED = (
+    *(
+        drive(f"varied-{scene}", scene=scene, lead_brakes=True, speed_mps=speed, rate_hz=rate)
+        for scene, speed, rate in (
+            ("straight", 20.0, 20.0),
+            ("bend", 15.0, 10.0),
+            ("town", 12.0, 10.0),
+            ("hill", 8.0, 5.0),
+        )
+    ),
+    drive("varied-change", scene="town", change_lane="right", speed_mps=20.0),
+)
+"""Braking cars and a lane change at other speeds and rates, also where the road is not level."""
+VARIED_LEADS = {level: replays(VARIED, noise, OBJECTS, f"{{}}, {level}") for level, noise in LEVELS.items()}
 APPROACHES = tuple(
     drive(f"runner-{rate:g}-{speed:g}", scene=scene, path_truth=True, rate_hz=rate, speed_mps=speed, seconds=40 / speed)
     for rate, speed, scene in (
@@ -231,3 +276,14 @@ ALONE_LEADS = replays(
 )
 ALONE_TOWN = Scenario("one camera, town", of_town("alone-town", path_truth=True, **ONE_CAMERA), TAGS, OBJECTS)
 ALONE = (*ALONE_LEADS, ALONE_TOWN)
+STANDING = {
+    name: (Scenario(f"one camera, {name}", of, TAGS, MOTION),)
+    for name, of in (
+        ("stop", drive("alone-stop", scene="straight", lead_brakes=True, seconds=7.0, **SMALL, **ONE_CAMERA)),
+        ("jam", drive("alone-jam", scene="town", stop_and_go=True, seconds=20.0, **SMALL, **ONE_CAMERA)),
+        (
+            "standing minute",
+            drive("alone-static", 0.5, scene="town", static=True, rate_hz=5.0, seconds=60.0, **SMALL, **ONE_CAMERA),
+        ),
+    )
+}

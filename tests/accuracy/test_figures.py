@@ -1,5 +1,7 @@
 """The figures: every one can be measured and judged, and the tables of the page are replaced."""
 
+from dataclasses import replace
+
 import pytest
 
 from tests.accuracy.__main__ import summary
@@ -82,6 +84,30 @@ def test_figures_of_several_cases_are_one_table():
         "| fog | **2.0 %** | 7.0 %; ≤ 8 % | 50.0 % |",
         "| rain | 0.5 % | 9.0 %; ≤ 10 % | 50.0 % |",
     ]
+
+
+@pytest.mark.parametrize(
+    ("bound", "by_scene", "shown"),
+    [
+        (at_most(1), {"bend": 2.0, "town": 0.5}, True),
+        (at_most(1), {"bend": 2.0, "town": 1.5}, False),
+        (at_most(1), {"bend": 0.4, "town": 0.0}, False),
+        (at_most(0), {"bend": 1.0, "town": 0.0}, True),
+        (at_least(95), {"bend": 99.0, "town": 90.0}, True),
+        (at_least(95), {"bend": 90.0, "town": 88.0}, False),
+        (at_most(None), {"bend": 2.0, "town": 0.5}, False),
+    ],
+)
+def test_scenes_that_differ_are_shown_one_by_one(bound, by_scene, shown):
+    class Found:
+        def of(self, scenarios):
+            return scenarios
+
+    scenarios = tuple(Scenario(scene, drive(scene, scene=scene)) for scene in by_scene)
+    figure = Figure("", "fog: off", bound, (scenarios,), lambda group: Value(by_scene[group[0].name]))
+    names = [found.name for found, _ in figure.by_scene(Found())]
+    assert names == [f"fog, {scene}: off" for scene in by_scene] * shown
+    assert replace(figure, groups=(scenarios[:1],)).by_scene(Found()) == []
 
 
 TINY = drive("tiny", scene="straight", width=160, height=120, seconds=0.3)

@@ -117,6 +117,35 @@ def test_only_the_last_frames_boundary_is_compared_with_its_line():
     assert values.off_own_line(tables) == Value(pytest.approx(10.0))
 
 
+def standing(odom_x_m, steps_m, true_steps_m):
+    n = len(steps_m)
+    zero = {f"odom_{axis}_m": [0.0] * n for axis in "yz"}
+    columns = {"stamp_ns": [k * STEP_NS for k in range(n)], "step_m": steps_m, "true_step_m": true_steps_m}
+    return frames(**columns, odom_x_m=odom_x_m, **zero)
+
+
+def test_the_drift_is_that_of_one_stand_and_not_of_the_way_between_two():
+    tables = standing([0.0, 1.0, 1.0, 1.02, 2.0, None, 2.5], [1.0] * 7, [None, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    assert values.standing_drift(tables) == Value(pytest.approx(2.0), 0.75, "4 standing frames")
+    assert values.standing_drift(standing([0.0], [1.0], [1.0])) == Value(None, None, "0 standing frames")
+
+
+def test_steps_need_a_possible_acceleration_also_over_a_gap():
+    """12 m/s² at 10 Hz are 0.12 m more a step, and 0.24 m after one missing step."""
+    steps_m = [None, 1.0, 1.11, 1.24, None, 1.47, None, 1.72]
+    found = values.impossible_steps(standing([0.0] * 8, steps_m, [1.0] * 8))
+    assert found == Value(2.0, 5 / 8, "of 5")
+
+
+def test_errors_beyond_three_deviations_have_the_median_deviation_beside_them():
+    table = {"kept": [True] * 3 + [False], "distance_m": [9.0, 8.0, None, 1.0], "distance_std_m": [0.1, 0.5, None, 0.1]}
+    found = values.beyond(objects(table | {"true_distance_m": [9.4, 9.0, 9.0, 9.0]}), "distance")
+    assert found == Value(50.0, pytest.approx(2 / 3), "2 values, median deviation 0.3 m")
+    sides = {f"lane_{side}{name}_offset{std}_m": [value] for side in values.SIDES
+             for name, std, value in (("", "", 1.0), ("_true", "", 1.1), ("", "_std", 0.05))}  # fmt: skip
+    assert values.beyond(frames(**sides), "lane offset").number == 0.0
+
+
 def test_precision_and_recall_use_sums_over_frames():
     tables = frames(filter_tp=[8, 1], filter_fp=[1, 0], filter_fn=[0, 1])
     assert values.precision(tables) == values.recall(tables) == Value(0.9, 1.0)

@@ -10,16 +10,20 @@ import numpy as np
 import polars as pl
 from scipy.spatial.transform import Rotation
 
-from roadperc_stream.eval.report.consistency import Consistency, added, consistency_by_run
+from roadperc_stream.eval.report.consistency import FRAME_QUANTITIES, JUDGED, Consistency, added, consistency_by_run
 from roadperc_stream.eval.report.sources import load, source_of_runs
 from roadperc_stream.eval.runs import open_run
-from tests.accuracy.bounds import Measured, Value, nothing, percent
+from tests.accuracy.bounds import Measured, Value, nothing, percent, share_of
 
 SIDES = ("left", "right")
 CROSSING_NS = 300_000_000
 """Within this time of a crossing the car's own lane is ambiguous, so frames do not count."""
 RESAMPLES, LEVEL = 2000, 0.95
 SLACK = 1.1
+STANDS_M = 1e-4
+"""Step below which a car stands."""
+MOST_MPS2 = 12
+"""Largest acceleration and braking of a car."""
 TRACKS = 0.1
 """Largest error of a step, as a share of it, with which a frame counts as tracked."""
 COURSE_PLACE_PX, COURSE_DISTANCE_M = (547, 479), 28.926553672316352
@@ -223,6 +227,38 @@ def height_error(tables):
     return Value(100 * max(_end_errors(tables, [2])))
 
 
+def _standing(tables):
+    """Each replay's frames in order, with the number of moving frames before them, and if the car stands in them."""
+    for frames in tables.frames.partition_by("replay"):
+        stands = pl.col("true_step_m") < STANDS_M
+        yield frames.sort("stamp_ns").with_columns(stretch=(~stands.fill_null(value=False)).cum_sum(), stands=stands)
+
+
+def standing_drift(tables):
+    """Largest distance in cm of a standing car's poses from the first one since it stands."""
+    drifts_m, known, total = [], 0, 0
+    for frames in _standing(tables):
+        standing = frames.filter("stands")
+        total += standing.height
+        for stretch in standing.drop_nulls("odom_x_m").partition_by("stretch"):
+            poses_m = stretch.select(f"odom_{axis}_m" for axis in "xyz").to_numpy()
+            drifts_m.append(np.linalg.norm(poses_m - poses_m[0], axis=1).max())
+            known += len(poses_m)
+    detail = f"{total} standing frames"
+    return Value(_times(100, max(drifts_m, default=None)), known / total if total else None, detail)
+
+
+def impossible_steps(tables):
+    """Number of steps whose speed differs from that of the last known one by more than ``MOST_MPS2`` allows."""
+    count = total = 0
+    for frames in tables.frames.partition_by("replay"):
+        timed = frames.sort("stamp_ns").with_columns(time_s=pl.col("stamp_ns") / 1e9)
+        timed = timed.with_columns(speed_mps=pl.col("step_m") / pl.col("time_s").diff()).drop_nulls("speed_mps")
+        jumps = timed.select(pl.col("speed_mps").diff().abs() > MOST_MPS2 * pl.col("time_s").diff()).to_series()
+        count, total = count + jumps.sum(), total + len(jumps)
+    return Value(float(count), total / tables.frames.height, f"of {total}")
+
+
 def _end_errors(tables, axes):
     """The error of each replay's last pose along some axes, as a share of the path."""
     errors = []
@@ -397,6 +433,13 @@ QUANTITIES = {
     "time to impact": (4, ("time_to_impact_s",)),
 }
 """The maximum share in percent beyond three standard deviations, and the columns."""
+UNITS = {
+    "lane offset": "m",
+    "lane heading": "°",
+    "distance": "m",
+    "closing speed": "m/s",
+    "time to impact": "s",
+}
 
 
 @cache
@@ -421,4 +464,23 @@ def deviations(tables, quantity):
     nees = f"NEES {found.nees:.3g}" + (f", {interval[0]:.3g} to {interval[1]:.3g}" if interval else "")
     met = 0.5 <= within_1 <= 0.85 and within_2 >= 0.9 and 100 * beyond_3 <= most_beyond
     text = f"{100 * within_1:.1f} / {100 * within_2:.1f} / {100 * beyond_3:.1f} % ({nees})"
-    return Measured(text, percent(found.values / found.errors), met)
+    return Measured(text, percent(found.values / found.errors), met, share_of(100 * beyond_3, most_beyond))
+
+
+def beyond(tables, quantity):
+    """Share in percent of the errors beyond three standard deviations; the detail has the median deviation.
+
+    The coverage is the share of the true values that have an estimate with a deviation.
+    """
+    found = []
+    for judged in (one for one in JUDGED if one.estimate in QUANTITIES[quantity][1]):
+        rows = tables.frames if judged in FRAME_QUANTITIES else tables.objects.filter("kept")
+        columns = {"off": (pl.col(judged.estimate) - pl.col(judged.truth)).abs(), "std": judged.std}
+        found.append(rows.drop_nulls(judged.truth).select(**columns))
+    rows = pl.concat(found)
+    known = rows.drop_nulls().filter(pl.col("std") > 0)
+    if not known.height:
+        return Value(None)
+    detail = f"{known.height} values, median deviation {known['std'].median():.2g} {UNITS[quantity]}"
+    share = known.select(pl.col("off") > 3 * pl.col("std")).to_series().mean()
+    return Value(100 * share, known.height / rows.height, detail)
