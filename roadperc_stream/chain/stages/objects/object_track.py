@@ -22,6 +22,9 @@ from roadperc_stream.system.time import NS_PER_S
 _FIRST_SPEED_STD_MPS = 20.0
 _FIRST_DRIFT_STD_MPS = 3.0
 """Standard deviation of an unknown speed across the path."""
+_UNKNOWN_PLACE_STD_M = 100.0
+_OTHER_PATH_STD_MPS = 0.5
+"""Least standard deviation of an object's speed across another path than before: its heading changes differently."""
 _LATERAL_NOISE = 1.0
 """Standard deviation of the change of an edge's speed across the path within a second, m/s."""
 _SIDE_STD = 0.03
@@ -213,6 +216,17 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
         right_m = track.right_m.update(extent.right_m, extent.std_m)
         left_m = track.left_m.update(extent.left_m, extent.std_m)
     return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
+
+
+def beside_another_path(track: ObjectTrack) -> ObjectTrack:
+    """The predicted track beside another path: its places are unknown, its speeds across nearly the same."""
+    right_m, left_m = (m and _beside_another_path(m) for m in (track.right_m, track.left_m))
+    return replace(track, right_m=right_m, left_m=left_m)
+
+
+def _beside_another_path(edge: RateFilter) -> RateFilter:
+    more_mps = sqrt(max(_OTHER_PATH_STD_MPS**2 - edge.rate_var, 0.0))
+    return edge.at(edge.value, _UNKNOWN_PLACE_STD_M, more_mps)
 
 
 def seen_at(track: ObjectTrack, seen: Sighting | None) -> ObjectTrack:

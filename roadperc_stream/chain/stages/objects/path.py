@@ -265,13 +265,14 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
     """Whether an object in the path may still be there when the car arrives; a vehicle needs a known motion.
 
     An oncoming car in a bend is briefly in the path, but crosses it at several metres per second; lane changes are
-    slower. A pedestrian or a car that crosses the road may stop at any time.
+    slower. A pedestrian or a car that crosses the road may stop at any time. While the path has just changed, the
+    speed across it is unknown, but a car that drives ahead does not cross it.
     """
     if classes_of_label(label) == ("pedestrian",) or _crosses_road(track):
         return True
     right, left = track.right_m, track.left_m
     if right is None or left is None or sqrt(max(right.rate_var, left.rate_var)) > _VAGUE_MPS:
-        return False
+        return _drives_ahead(track)
     half_m = cfg.car_width_m / 2 + cfg.path_margin_m
     inner = (right, left.mirrored())
     return not any(edge.rate > _CROSSING_MPS and _least(edge, after_s) > half_m for edge in inner)
@@ -287,6 +288,14 @@ def _crosses_road(track: ObjectTrack) -> bool:
         return False
     across_mps = abs(place.right_m.rate) - sqrt(place.right_m.rate_var)
     return across_mps > max(_CROSSING_MPS, _ACROSS * -place.ahead_m.rate)
+
+
+def _drives_ahead(track: ObjectTrack) -> bool:
+    """Whether an object certainly moves over the ground in the direction of the camera's axis, mainly."""
+    place = track.place
+    return place is not None and place.ahead_m.rate > max(
+        _SURE_SIGMAS * sqrt(place.ahead_m.rate_var), abs(place.right_m.rate)
+    )
 
 
 def _least(edge: RateFilter, after_s: float) -> float:

@@ -142,7 +142,7 @@ def _known(
     last = [object_track.with_depth(track) for track in state.tracks] if with_depth else state.tracks
     known = [object_track.predict(cfg, track, frame.stamp_ns, now_T_last) for track in last]
     known = [track for track in known if not object_track.expired(cfg, track)]
-    return known if path.goes_on(state.path) else [replace(track, right_m=None, left_m=None) for track in known]
+    return known if path.goes_on(state.path) else [object_track.beside_another_path(track) for track in known]
 
 
 def _expected(cfg: ObjectsConfig, frame: Frame, known: Sequence[ObjectTrack]) -> dict[int, Measured]:

@@ -226,6 +226,28 @@ def test_places_change_with_the_lane():
     assert (item.in_path, item.lateral_m) == (True, pytest.approx(0.95, abs=0.1))
 
 
+@pytest.mark.parametrize("speed_mps", [0.0, 6.0])
+def test_impacts_are_known_while_the_source_of_the_path_changes(speed_mps):
+    """A car stands, or drives ahead, at 10 m/s of the ego car; the lane is lost and found again."""
+    road, ahead_m, known = Road(), 35.0, []
+    for k in range(30):
+        road.lane = None if 20 <= k < 23 else LANE
+        ahead_m -= (10.0 - speed_mps) * STEP_S
+        (item,) = road.frame((ahead_m, 0.0), ego_step_m=10.0 * STEP_S).objects
+        known.append(item.time_to_impact_s is not None)
+    assert all(known[15:])
+
+
+def test_a_vehicle_that_crosses_the_path_fast_has_no_time_to_impact_after_the_path_changed():
+    road = Road()
+    for k in range(20):
+        road.lane = LANE if k < 19 else None
+        (item,) = road.frame(
+            (38.0 - 16.0 * STEP_S * k, -0.5 + 5.0 * STEP_S * (k - 19)), ego_step_m=10.0 * STEP_S
+        ).objects
+    assert (item.in_path, item.time_to_impact_s) == (True, None)
+
+
 def test_odometry_gives_the_closing_speed_while_braking():
     """The ego car brakes at 8 m/s2 behind a standing car; without odometry the filter reacts late."""
     errors = {}
