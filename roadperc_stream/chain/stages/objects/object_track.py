@@ -23,8 +23,8 @@ _FIRST_SPEED_STD_MPS = 20.0
 _FIRST_DRIFT_STD_MPS = 3.0
 """Standard deviation of an unknown speed across the path."""
 _UNKNOWN_PLACE_STD_M = 100.0
-_OTHER_PATH_STD_MPS = 0.5
-"""Least standard deviation of an object's speed across another path than before: its heading changes differently."""
+_CURVATURE_STD_PER_M = 0.003
+"""Standard deviation of the difference between two paths' curvatures, 1/m: far ahead their directions differ."""
 _LATERAL_NOISE = 1.0
 """Standard deviation of the change of an edge's speed across the path within a second, m/s."""
 _SIDE_STD = 0.03
@@ -219,14 +219,15 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
 
 
 def beside_another_path(track: ObjectTrack) -> ObjectTrack:
-    """The predicted track beside another path: its places are unknown, its speeds across nearly the same."""
-    right_m, left_m = (m and _beside_another_path(m) for m in (track.right_m, track.left_m))
+    """The predicted track beside another path: its places are unknown, its speeds across differ far ahead."""
+    distance = track.distance_m
+    std_mps = _FIRST_DRIFT_STD_MPS if distance is None else _CURVATURE_STD_PER_M * abs(distance.value * distance.rate)
+    right_m, left_m = (m and _beside_another_path(m, std_mps) for m in (track.right_m, track.left_m))
     return replace(track, right_m=right_m, left_m=left_m)
 
 
-def _beside_another_path(edge: RateFilter) -> RateFilter:
-    more_mps = sqrt(max(_OTHER_PATH_STD_MPS**2 - edge.rate_var, 0.0))
-    return edge.at(edge.value, _UNKNOWN_PLACE_STD_M, more_mps)
+def _beside_another_path(edge: RateFilter, std_mps: float) -> RateFilter:
+    return edge.at(edge.value, _UNKNOWN_PLACE_STD_M, sqrt(max(std_mps**2 - edge.rate_var, 0.0)))
 
 
 def seen_at(track: ObjectTrack, seen: Sighting | None) -> ObjectTrack:

@@ -229,7 +229,7 @@ def test_places_change_with_the_lane():
 @pytest.mark.parametrize("speed_mps", [0.0, 6.0])
 def test_impacts_are_known_while_the_source_of_the_path_changes(speed_mps):
     """A car stands, or drives ahead, at 10 m/s of the ego car; the lane is lost and found again."""
-    road, ahead_m, known = Road(), 35.0, []
+    road, ahead_m, known = Road(), 25.0, []
     for k in range(30):
         road.lane = None if 20 <= k < 23 else LANE
         ahead_m -= (10.0 - speed_mps) * STEP_S
