@@ -55,3 +55,12 @@ def test_a_distance_is_not_that_of_another_object_in_the_box(tmp_path, tag_noise
     assert (known["off_m"] > 10 * known["std_m"]).mean() <= 0.002
     assert (known["off_m"] > 3 * known["std_m"]).mean() <= 0.02
     assert known["std_m"].median() < 0.25
+
+
+def test_times_to_impact_are_known_where_the_lane_is_lost_and_found(tmp_path):
+    options = ("--scene", "bend", "--lead-brakes", "--missing-lines", "20,60", "--seconds", "4.5", "--seed", "703")
+    noise = ("--tag-noise", "0.05", "--depth-noise", "0.01", "--without", "right")
+    objects = replayed(tmp_path, *options, *noise)
+    ahead = objects.filter(pl.col("true_time_to_impact_s").is_between(0.5, 10) & pl.col("true_in_path"))
+    assert ahead.height > 15
+    assert ahead["time_to_impact_s"].is_not_null().mean() >= 0.95

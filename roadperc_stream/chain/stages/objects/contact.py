@@ -17,9 +17,9 @@ from roadperc_stream.chain.stages.objects.object_track import Extent
 from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
 from roadperc_stream.geometry import Camera, Float, rays
 from roadperc_stream.geometry.planes import Plane
-from roadperc_stream.model import Box, Object, Surface
+from roadperc_stream.model import Box, Detection, Object, Surface
 from roadperc_stream.model.frame import Frame
-from roadperc_stream.model.tag_tables import classes_of_label
+from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 
 EDGE_STD_PX: Final = 1.0
 EDGE_STD_SHARE: Final = 0.03
@@ -28,6 +28,12 @@ MOST_STD_SHARE: Final = 0.3
 """A distance with a larger standard deviation, as a share, is left out: the lower edge is near the horizon."""
 BORDER_PX: Final = 1.5
 """A box this near to the image's border counts as cut by it."""
+_BORDER_SIGMAS: Final = 2.0
+"""The same for the lower border, in deviations of the box's edge."""
+_SEEN: Final = 0.3
+"""Least share of the object's class in the lower half of a box for which tags show where the object ends."""
+_LOWEST: Final = 0.1
+"""Share of a box's columns in which an object is on the ground; between its tyres, the road is visible."""
 _HIDDEN: Final = 0.5
 """Share of the lower edge behind nearer boxes from which it counts as hidden."""
 _BODY_STD: Final = radians(0.3)
@@ -86,7 +92,7 @@ def ground_of(road: Surface, pitch_std: float, *, mounted: bool) -> GroundPlane:
     return GroundPlane(road.plane, pitch_std, _HEIGHT_STD if mounted else _ASSUMED_HEIGHT_STD)
 
 
-def contacts(camera: Camera, ground: GroundPlane, objects: Sequence[Object]) -> dict[int, Contact]:
+def contacts(frame: Frame, ground: GroundPlane, objects: Sequence[Object]) -> dict[int, Contact]:
     """The contacts, by position, of the objects whose boxes are within the image and whose lower edges are visible.
 
     A lower edge is hidden if nearer boxes of kept objects, those that end lower, cover half of it. A box is clear if
@@ -96,15 +102,19 @@ def contacts(camera: Camera, ground: GroundPlane, objects: Sequence[Object]) -> 
     kept = corners(item.detection.box_px for item in objects if item.kept)
     boxes = [item.detection.box_px for item in objects]
     return {
-        k: _contact(camera, ground, objects[k], clear=not len(_nearer(box, kept, 2.0)[0]))
+        k: _contact(frame, ground, objects[k], clear=not len(_nearer(box, kept, 2.0)[0]))
         for k, box in enumerate(boxes)
-        if _inside(camera, box) and not _hidden(box, kept)
+        if _inside(frame.camera, box) and not _hidden(box, kept)
     }
 
 
 def _inside(camera: Camera, box: Box) -> bool:
-    """Whether neither the left, the right nor the lower border of the image cuts a box."""
-    right, bottom = camera.width - BORDER_PX, camera.height - BORDER_PX
+    """Whether neither the left, the right nor the lower border of the image cuts a box.
+
+    The box of the car's own bonnet may end a little above the lower border.
+    """
+    above_px = max(_BORDER_SIGMAS * edge_std_px(box.y_max - box.y_min), BORDER_PX)
+    right, bottom = camera.width - BORDER_PX, camera.height - above_px
     return box.x_min >= BORDER_PX and box.x_max <= right and box.y_max <= bottom and box.area > 0
 
 
@@ -142,9 +152,9 @@ def _with_distance(camera: Camera, item: Object, contact: Contact | None) -> Obj
     return replace(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
 
 
-def _contact(camera: Camera, ground: GroundPlane, item: Object, *, clear: bool) -> Contact:
+def _contact(frame: Frame, ground: GroundPlane, item: Object, *, clear: bool) -> Contact:
     """Where the middle of a box's lower edge meets the road."""
-    box, nowhere = item.detection.box_px, Contact(None, inf, MOST_STD_SHARE, clear)
+    camera, box, nowhere = frame.camera, item.detection.box_px, Contact(None, inf, MOST_STD_SHARE, clear)
     middle = np.array([(box.x_min + box.x_max) / 2 - 0.5, box.y_max - 0.5])
     slope = -float(rays(camera, middle) @ ground.plane.n)
     if slope <= 0:
@@ -158,9 +168,27 @@ def _contact(camera: Camera, ground: GroundPlane, item: Object, *, clear: bool) 
     pitch_std = hypot(ground.pitch_std, _SLOPE_STD_PER_ROOT_M * sqrt(to_tyres_m / 3.0))
     place_std_m = _OVERHANG_STD_M if is_vehicle else to_tyres_m * _KERB_STD_M / height_m
     common_m = hypot(m_per_rad * pitch_std, to_tyres_m * ground.height_std, place_std_m)
-    row_std = edge_std_px(box.y_max - box.y_min) * abs(ground.plane.normal[1]) / camera.fy
+    row_px = max(edge_std_px(box.y_max - box.y_min), _gap_px(frame, item.detection))
+    row_std = row_px * abs(ground.plane.normal[1]) / camera.fy
     std_m = hypot(m_per_rad * row_std, common_m)
     return Contact(depth_m, std_m, common_m / depth_m, clear) if std_m <= MOST_STD_SHARE * depth_m else nowhere
+
+
+def _gap_px(frame: Frame, detection: Detection) -> float:
+    """Rows between the lower edge of a box and the lower end of the object in the tags; 0 if they do not show it.
+
+    Some detectors end a car's box at its bumper.
+    """
+    lookup = None if frame.table is None else label_lookup(frame.table, detection.label)
+    x0, y0, x1, y1 = detection.box_px.rounded(frame.camera.width, frame.camera.height)
+    middle = (y0 + y1) // 2
+    if frame.tags is None or lookup is None or middle >= y1 or x0 >= x1:
+        return 0.0
+    inside, below = lookup[frame.tags[middle:y1, x0:x1]] > 0, lookup[frame.tags[y1 : 2 * y1 - middle, x0:x1]] > 0
+    if np.count_nonzero(inside) < _SEEN * inside.size:
+        return 0.0
+    too_high, too_low = (np.logical_and.accumulate(rows).sum(axis=0) for rows in (below, ~inside[::-1]))
+    return float(max(np.median(too_high), np.quantile(too_low, _LOWEST)))
 
 
 def edge_std_px(side_px: float) -> float:

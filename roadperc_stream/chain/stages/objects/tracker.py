@@ -104,7 +104,7 @@ def step(
     known = _known(cfg, state, frame, path, last_T_this, with_depth=ground is None)
     filtered = filter_detections(cfg, frame, frame.detections, _expected(cfg, frame, known))
     own = () if isinstance(filtered, Absent) else filtered.objects
-    contacts = {} if ground is None else contact.contacts(frame.camera, ground, own)
+    contacts = {} if ground is None else contact.contacts(frame, ground, own)
     own = contact.with_distances(frame.camera, own, contacts)
     kept = _kept(cfg, frame, own)
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes, kept.seen))

@@ -12,7 +12,7 @@ from roadperc_stream.chain.stages.objects.tracker import ObjectsState, step
 from roadperc_stream.chain.stages.surface.road import known_surface
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.model import Box, Detection, Object
-from tests.analytic import STEP_NS, Road
+from tests.analytic import STEP_NS, VEHICLE, Road
 from tests.scenes import scene_of
 
 CFG = ObjectsConfig()
@@ -31,9 +31,9 @@ def back(ahead_m, label="Pedestrian", left_m=0.0, width_m=1.8, height_m=1.5, roa
     return Detection(label, Box(*pixels.min(axis=0), *pixels.max(axis=0)), 0.9)
 
 
-def measured(*detections, ground=GROUND, camera=ROAD.camera):
+def measured(*detections, ground=GROUND, camera=ROAD.camera, tags=None):
     objects = [Object(detection, kept=True) for detection in detections]
-    return with_distances(camera, objects, contacts(camera, ground, objects))
+    return with_distances(camera, objects, contacts(scene_of(camera, tags=tags), ground, objects))
 
 
 @pytest.mark.parametrize("ahead_m", [5.0, 12.0, 25.0])
@@ -49,6 +49,32 @@ def test_the_distance_is_that_of_the_nearest_point(ahead_m, pitch):
 def test_a_vehicle_is_nearer_than_its_tyres():
     pedestrian, car = measured(back(12.0)) + measured(back(12.0, "Car"))
     assert pedestrian.distance_m - car.distance_m == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("distance_m", [7.5, 15.0])
+def test_a_box_that_ends_at_the_bumper_disagrees_with_the_tags(distance_m):
+    """The box ends 0.3 m above the ground; the tags show the tyres at its ends, and road between them."""
+    whole = back(distance_m, "Car").box_px
+    rows_per_m = (whole.y_max - whole.y_min) / 1.5
+    cut = replace(whole, y_max=whole.y_max - 0.3 * rows_per_m)
+    tags = np.zeros(ROAD.camera.size, np.uint8)
+    x0, y0, x1, y1 = whole.rounded(ROAD.camera.width, ROAD.camera.height)
+    tags[y0:y1, x0:x1] = VEHICLE
+    middle = (x1 - x0) // 4
+    tags[y1 - round(0.2 * rows_per_m) : y1, x0 + middle : x1 - middle] = 0
+    sure, agreed, doubtful = (
+        measured(Detection("Car", box, 0.9), tags=seen)[0] for box, seen in ((cut, None), (whole, tags), (cut, tags))
+    )
+    off_m = doubtful.distance_m - distance_m
+    assert agreed.distance_std_m == measured(back(distance_m, "Car"))[0].distance_std_m
+    assert sure.distance_std_m < 0.5 * off_m < doubtful.distance_std_m
+
+
+def test_the_cars_own_bonnet_has_no_distance():
+    """Its box ends a few pixels above the image's lower border; a car farther ahead ends well above."""
+    bonnet, car = (Detection("Car", Box(300, bottom - 160, 900, bottom), 0.9) for bottom in (956, 920))
+    assert measured(bonnet)[0].distance_m is None
+    assert measured(car)[0].distance_m < 4
 
 
 def test_standard_deviations_grow_with_the_square_of_the_distance():
@@ -93,8 +119,8 @@ def test_a_lower_edge_behind_nearer_boxes_is_no_contact(left_m, hidden):
 
 def test_a_dropped_detection_hides_nothing():
     far, near = Object(back(20.0), kept=True), Object(back(15.0), kept=False)
-    assert contacts(ROAD.camera, GROUND, [far, near]).keys() == {0, 1}
-    assert contacts(ROAD.camera, GROUND, [far, replace(near, kept=True)]).keys() == {1}
+    assert contacts(scene_of(ROAD.camera), GROUND, [far, near]).keys() == {0, 1}
+    assert contacts(scene_of(ROAD.camera), GROUND, [far, replace(near, kept=True)]).keys() == {1}
 
 
 def drive(speed_mps, frames=40, start_m=30.0, noise_px=0.5, pitch_error=0.0, seed=0, left_m=0.0):
@@ -154,5 +180,5 @@ def test_depth_ends_what_the_ground_began():
 
 def test_a_box_that_a_nearer_one_touches_is_whole_but_not_clear():
     objects = [Object(d, kept=True) for d in (back(20.0), back(15.0, left_m=1.3), back(20.0, left_m=-6.0))]
-    found = contacts(ROAD.camera, GROUND, objects)
+    found = contacts(scene_of(ROAD.camera), GROUND, objects)
     assert {k: at.clear for k, at in found.items()} == {0: False, 1: True, 2: True}
