@@ -44,16 +44,17 @@ def tables(lines):
         by_name[name][case] = (figure, measured)
     shared = {name: of_case for name, of_case in by_name.items() if len(of_case) > 1}
     alone = [cells(*line) for name, of_case in by_name.items() if name not in shared for line in of_case.values()]
-    found = (with_cases(shared) if shared else [], [HEADERS, *alone] if alone else [])
+    cases = dict.fromkeys(figure.name.rpartition(": ")[0] for figure, _ in lines)
+    found = (with_cases(shared, cases) if shared else [], [HEADERS, *alone] if alone else [])
     return "\n\n".join(markdown(rows) for rows in found if rows)
 
 
-def with_cases(shared):
-    """Rows of cases and columns of figures, or the reverse if there are more figures."""
+def with_cases(shared, cases):
+    """Rows of cases in their order and columns of figures, or the reverse if there are more figures."""
     required = {name: {figure.required for figure, _ in of_case.values()} for name, of_case in shared.items()}
     heads = [f"{name} ({''.join(texts)})" if len(texts) == 1 else name for name, texts in required.items()]
     rows = [("case", *(head.removesuffix(" ()") for head in heads), "coverage")]
-    for case in dict.fromkeys(case for of_case in shared.values() for case in of_case):
+    for case in (case for case in cases if any(case in of_case for of_case in shared.values())):
         row = {name: of_case[case] for name, of_case in shared.items() if case in of_case}
         texts = (cell(*row[name], len(required[name]) > 1) if name in row else "" for name in shared)
         rows.append((case or "all scenes", *texts, coverage(row.values())))

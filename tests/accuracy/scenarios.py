@@ -199,7 +199,7 @@ WITHOUT_DEPTH_CAMERA = {
             drive(f"alone-{kind}-lead", scene="straight", lead_brakes=True, **sensors),
         ),
         TAGS,
-        OBJECTS,
+        f"stereo,{OBJECTS}",
         f"{{}}, {kind} alone",
     )
     for kind, sensors in OTHER_DEPTH.items()

@@ -74,6 +74,7 @@ def test_the_tables_of_the_page_are_replaced():
 def test_figures_of_several_cases_are_one_table():
     lines = [
         line("", "2.0 %", met=False, name="fog: off"),
+        line("", "3.0 %", met=False, name="fog, bend: missed"),
         line("", "0.5 %", met=True, name="rain: off"),
         line("", "7.0 %", met=True, name="fog: missed", limit=8),
         line("", "9.0 %", met=True, name="rain: missed", limit=10),
@@ -82,6 +83,7 @@ def test_figures_of_several_cases_are_one_table():
         "| case | off (≤ 1 %) | missed | coverage |",
         "|---|---|---|---|",
         "| fog | **2.0 %** | 7.0 %; ≤ 8 % | 50.0 % |",
+        "| fog, bend |  | **3.0 %**; ≤ 1 % | 50.0 % |",
         "| rain | 0.5 % | 9.0 %; ≤ 10 % | 50.0 % |",
     ]
 
