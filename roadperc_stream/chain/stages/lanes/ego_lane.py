@@ -1,5 +1,6 @@
 """One frame of the ego lane: observe both boundaries, track them over time, and drop implausible ones."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -214,15 +215,23 @@ def _followed(
 ) -> LanesState:
     """Both boundaries at the stamp of this frame."""
     moved = _tracked(motion) if cfg.use_odometry else None
-    before = {
-        side: replace(known, track=tracking.predict(cfg, known.track, stamp_ns, moved))
+
+    def predicted(boundaries: Mapping[Side, TrackedBoundary | None]) -> dict[Side, TrackedBoundary]:
+        return {
+            side: replace(boundary, track=tracking.predict(cfg, boundary.track, stamp_ns, moved))
+            for side, boundary in boundaries.items()
+            if boundary is not None
+        }
+
+    before = predicted({"left": state.left, "right": state.right})
+    expected = predicted({"left": state.left_known, "right": state.right_known}) if moved is not None else {}
+    found = {
+        side: followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns)
         for side in SIDES
-        if (known := state.side(side)) is not None
     }
-    left, right = (
-        followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns) for side in SIDES
-    )
-    return replace(state, left=left, right=right)
+    now, known = following.continued(cfg, before, found, expected, stamp_ns)
+    left, right = now["left"], now["right"]
+    return replace(state, left=left, right=right, left_known=known.get("left"), right_known=known.get("right"))
 
 
 def _observed(

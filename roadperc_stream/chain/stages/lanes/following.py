@@ -4,7 +4,7 @@ The car is in another lane when its reference point, the origin of the ego frame
 between both lanes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from roadperc_stream.chain.stages.lanes.observe import Observation
 from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import SIDES, LaneChange, Side
+from roadperc_stream.system.time import NS_PER_S
 
 JUDGED_AT_M = 10.0
 """A boundary must be known at the car and at this distance ahead."""
@@ -32,6 +33,10 @@ _CROSSED_STD = 2.0
 _DOUBLE_M = 0.6
 """Widest marking, double markings included."""
 _LINE_STEP = np.array([1.0, 0.0, 0.0])
+_WIDTH_STD_M = 0.3
+"""By this much, a lane's width changes while one of its boundaries is not seen."""
+_REMEMBERED_NS = 10 * NS_PER_S
+"""How long a boundary stays known without a sure measurement."""
 _ALONG = 0.4
 """Largest angle between car and boundary in a lane change; a turn at a crossing passes lines at larger angles."""
 
@@ -65,6 +70,59 @@ def followed(
     return measured(cfg, begun, side, curve, observation)
 
 
+def continued(
+    cfg: LanesConfig,
+    before: Mapping[Side, TrackedBoundary],
+    now: Mapping[Side, TrackedBoundary | None],
+    known: Mapping[Side, TrackedBoundary],
+    stamp_ns: int,
+) -> tuple[dict[Side, TrackedBoundary | None], dict[Side, TrackedBoundary]]:
+    """This frame's boundaries without those that cannot be the known ones, and the boundaries known after it.
+
+    A boundary is known from when it was last sure: odometry moved it, or it runs beside the other one. One that is not
+    continued is held.
+    """
+    kept, after = dict(now), {}
+    for side in SIDES:
+        expected, found = _expected(side, now, known, stamp_ns), now[side]
+        if found is not None and expected is not None and not _continues(expected, found, stamp_ns):
+            held = before.get(side)
+            kept[side] = None if held is None or tracking.expired(cfg, held.track) else held
+        elif found is not None and _is_certain(found, stamp_ns):
+            expected = found
+        if expected is not None and stamp_ns - expected.track.measured_ns <= _REMEMBERED_NS:
+            after[side] = expected
+    return kept, after
+
+
+def _expected(
+    side: Side, now: Mapping[Side, TrackedBoundary | None], known: Mapping[Side, TrackedBoundary], stamp_ns: int
+) -> TrackedBoundary | None:
+    """Where a known boundary is in this frame, by the other one if that is sure; None if it is not known."""
+    boundary, last_other, other = known.get(side), known.get(other_side(side)), now[other_side(side)]
+    if boundary is None or last_other is None or other is None or not _is_certain(other, stamp_ns):
+        return boundary
+    beside = tracking.shifted(other.track, boundary.offset_m - last_other.offset_m, _WIDTH_STD_M)
+    if tracking.std_at(boundary.track, 0.0) < tracking.std_at(beside, 0.0):
+        return boundary
+    return replace(boundary, track=replace(beside, measured_ns=boundary.track.measured_ns))
+
+
+def _is_certain(boundary: TrackedBoundary, stamp_ns: int) -> bool:
+    return boundary.is_sure and boundary.is_clear and boundary.track.measured_ns == stamp_ns
+
+
+def _continues(known: TrackedBoundary, now: TrackedBoundary, stamp_ns: int) -> bool:
+    """Whether a measured boundary can be the known one.
+
+    A clear boundary with the same class beyond it may move, as where a lane begins. A kerb beside a missing line is of
+    another class, and noise may turn a boundary towards it in small steps.
+    """
+    latest = [name for seen_ns, name in now.outside.observations if seen_ns == stamp_ns]
+    is_same = now.is_clear and latest == [known.outside.majority]
+    return is_same or tracking.agree(known.track, now.track)
+
+
 def measured(
     cfg: LanesConfig, tracked: TrackedBoundary, side: Side, curve: Curve, observation: Observation
 ) -> TrackedBoundary:
@@ -75,6 +133,7 @@ def measured(
         tracked,
         reach_m=curve.reach_m,
         hidden_m=observation.hidden_m,
+        is_clear=curve.is_clear,
         inside=tracked.inside.add(cfg, stamp_ns, inside),
         outside=tracked.outside.add(cfg, stamp_ns, outside),
     )
@@ -132,6 +191,7 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
         outer = followed(cfg, side, None, inner, observation, stamp_ns)
         if _runs_along(crossed):
             state = replace(state, lane_change=side, lane_changes=state.lane_changes + 1)
+        state = replace(state, left_known=None, right_known=None)
         return state.with_side(side, outer).with_side(other_side(side), inner)
     return state
 

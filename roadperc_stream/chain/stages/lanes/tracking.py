@@ -36,7 +36,7 @@ _CURVATURE_WALK_ROOT_M = 0.0008
 _Y_AXIS_STEPS = 3
 """Fixed-point steps for the boundary's intersection with a turned y axis; each reduces the error by heading * turn."""
 _CONTRADICTS = 7.81
-"""Squared Mahalanobis distance above which measurement and prediction contradict each other (95 % of chi squared,
+"""Squared Mahalanobis distance above which two estimates of a boundary contradict each other (95 % of chi squared,
 3 degrees)."""
 
 
@@ -104,6 +104,8 @@ class TrackedBoundary:
     """Distance ahead up to which a bonnet hid the road in its last measurement."""
     is_sure: bool = True
     """Whether its last measurement left it certain enough to be used."""
+    is_clear: bool = True
+    """Whether the edges of its last measurement were as close to it as those of clean tags."""
 
     @property
     def offset_m(self) -> float:
@@ -113,10 +115,15 @@ class TrackedBoundary:
 
 @dataclass(frozen=True)
 class LanesState:
-    """Both boundaries, the current lane change, and the number of lane changes."""
+    """Both boundaries, the current lane change, and the number of lane changes.
+
+    ``left_known`` and ``right_known`` are the boundaries as they were last measured for sure, and then moved.
+    """
 
     left: TrackedBoundary | None = None
     right: TrackedBoundary | None = None
+    left_known: TrackedBoundary | None = None
+    right_known: TrackedBoundary | None = None
     lane_change: LaneChange = "none"
     lane_changes: int = 0
 
@@ -222,6 +229,12 @@ def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Flo
     # The Joseph form keeps the covariance symmetric and positive over thousands of frames.
     P = (rest @ track.covariance @ rest.T + gain @ covariance @ gain.T) * max(distance / _CONTRADICTS, 1.0)
     return BoundaryTrack(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
+
+
+def agree(one: BoundaryTrack, other: BoundaryTrack) -> bool:
+    """Whether two tracks can be of the same boundary."""
+    apart = other.state - one.state
+    return float(apart @ np.linalg.solve(one.state_covariance + other.state_covariance, apart)) <= _CONTRADICTS
 
 
 def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack:

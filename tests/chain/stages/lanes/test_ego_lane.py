@@ -12,7 +12,7 @@ from roadperc_stream.chain.stages.lanes.ego_lane import step
 from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.config import LanesConfig
-from roadperc_stream.model import Absent, Reason
+from roadperc_stream.model import Absent, Odometry, Reason
 from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14 as TABLE
 from tests.analytic import LINE, ROAD, SIDEWALK, STEP_NS, Road
 from tests.scenes import scene_of
@@ -112,6 +112,32 @@ def test_a_frame_without_tags_holds_boundaries_or_has_a_reason():
     assert [b.status for b in held.boundaries] == ["held", "held"]
     _, absent = step(CFG, LanesState(), scene_of(road.camera, road.ego_T_camera), *inputs)
     assert absent == Absent(Reason("lanes", "no_segmentation"))
+
+
+def moved(dx_m):
+    """The motion straight ahead by odometry."""
+    last_T_this = np.eye(4)
+    last_T_this[0, 3] = dx_m
+    return Odometry("tracked", np.eye(4), last_T_this, covariance=tuple(np.diag([1e-6] * 6).ravel()))
+
+
+def test_the_kerb_is_not_the_lane_boundary_where_its_line_is_missing():
+    """The known line stays known by odometry, and by the other line; a kerb beyond it is another boundary."""
+    road = Road(left_m=1.8, right_m=-4.2)
+    tags = road.tags()
+    x, y, _ = np.moveaxis(road.ground()[1], -1, 0)
+    marked = np.where((y < -1.8) & (y > -1.95) & (x < 150), LINE, tags).astype(np.uint8)
+    state, index = None, 0
+    for index in range(5):
+        state, lanes = look(road, marked, state, index, motion=moved(0.5) if index else None)
+    assert lanes.side("right").offset_m == pytest.approx(-1.8, abs=0.03)
+    for index in range(5, 65):
+        state, lanes = look(road, tags, state, index, motion=moved(0.5))
+        assert lanes.side("right").status in ("held", "lost")
+        assert lanes.side("left").status == "measured"
+    state, lanes = look(road, marked, state, index + 1, motion=moved(0.5))
+    assert lanes.side("right").offset_m == pytest.approx(-1.8, abs=0.03)
+    assert lanes.lane_changes == 0
 
 
 def test_a_jump_outside_the_gate_is_rejected():
