@@ -9,13 +9,14 @@ pytestmark = pytest.mark.long
 
 
 def replayed(folder, *options):
-    """The rows of the kept objects of a rendered drive."""
+    """The frames of a rendered drive, and the rows of its kept objects."""
     dump, log_in, out = (folder / name for name in ("dump", "in.mcap", "out.mcap"))
     size = ("--size", "640x480", "--rate", "10")
     assert render.main([str(dump), *size, *options]) == 0
     assert convert.main([str(dump), str(log_in), "--quiet"]) == 0
     assert replay.main([str(log_in), str(out), "--quiet", "--results-only"]) == 0
-    return pl.read_parquet(out.with_suffix(".objects.parquet")).filter("kept")
+    frames, objects = (pl.read_parquet(out.with_suffix(f".{table}.parquet")) for table in ("metrics", "objects"))
+    return frames, objects.filter("kept")
 
 
 @pytest.mark.parametrize(
@@ -27,7 +28,7 @@ def replayed(folder, *options):
     ids=["lidar", "stereo"],
 )
 def test_distances_without_a_depth_camera(tmp_path, options, most_beyond, most_std_m):
-    objects = replayed(tmp_path, *options, "--without", "depth", "--tag-noise", "0.02")
+    _, objects = replayed(tmp_path, *options, "--without", "depth", "--tag-noise", "0.02")
     known = objects.select(off_m=(pl.col("distance_m") - pl.col("true_distance_m")).abs(), std_m="distance_std_m")
     known = known.drop_nulls()
     assert known.height > 100
@@ -38,7 +39,7 @@ def test_distances_without_a_depth_camera(tmp_path, options, most_beyond, most_s
 def test_an_object_nearer_than_the_visible_road_is_measured_by_stereo(tmp_path):
     """The nearest visible road is 5 m ahead. The car ahead comes to 2 m."""
     options = ("--scene", "straight", "--lead-brakes", "--fov", "82", "--seconds", "5", "--seed", "543")
-    objects = replayed(tmp_path, *options, "--size", "640x200", "--without", "depth")
+    _, objects = replayed(tmp_path, *options, "--size", "640x200", "--without", "depth")
     near = objects.filter((pl.col("true_distance_m") < 4) & (pl.col("class_ratio") > 0.5))
     error_m = (near["distance_m"] - near["true_distance_m"]).abs()
     assert len(near) > 3
@@ -48,7 +49,7 @@ def test_an_object_nearer_than_the_visible_road_is_measured_by_stereo(tmp_path):
 @pytest.mark.parametrize("tag_noise", [0.05, 0.1])
 def test_a_distance_is_not_that_of_another_object_in_the_box(tmp_path, tag_noise):
     options = ("--seconds", "3", "--seed", "701", "--without", "right", "--depth-noise", "0.02")
-    objects = replayed(tmp_path, *options, "--tag-noise", str(tag_noise))
+    _, objects = replayed(tmp_path, *options, "--tag-noise", str(tag_noise))
     known = objects.select(off_m=(pl.col("distance_m") - pl.col("true_distance_m")).abs(), std_m="distance_std_m")
     known = known.drop_nulls()
     assert known.height > 250
@@ -60,7 +61,39 @@ def test_a_distance_is_not_that_of_another_object_in_the_box(tmp_path, tag_noise
 def test_times_to_impact_are_known_where_the_lane_is_lost_and_found(tmp_path):
     options = ("--scene", "bend", "--lead-brakes", "--missing-lines", "20,60", "--seconds", "4.5", "--seed", "703")
     noise = ("--tag-noise", "0.05", "--depth-noise", "0.01", "--without", "right")
-    objects = replayed(tmp_path, *options, *noise)
+    _, objects = replayed(tmp_path, *options, *noise)
     ahead = objects.filter(pl.col("true_time_to_impact_s").is_between(0.5, 10) & pl.col("true_in_path"))
     assert ahead.height > 15
     assert ahead["time_to_impact_s"].is_not_null().mean() >= 0.95
+
+
+def lane_ratios(frames):
+    """Errors of offsets and heading, in standard deviations."""
+    for name, unit in (("left_offset", "m"), ("right_offset", "m"), ("heading", "deg")):
+        side, _, rest = name.rpartition("_")
+        true = f"lane_{side}_true_{rest}_{unit}" if side else f"lane_true_{rest}_{unit}"
+        error = (pl.col(f"lane_{name}_{unit}") - pl.col(true)).abs()
+        yield frames.select(error / pl.col(f"lane_{name}_std_{unit}")).to_series()
+
+
+@pytest.mark.parametrize(("seed", "noise"), [(545, 0.02), (546, 0.05)])
+def test_the_lane_where_a_bend_begins(tmp_path, seed, noise):
+    """The boundary is measured ahead of the car, where the road bends already."""
+    options = ("--scene", "town", "--seconds", "5", "--without", "right", "--depth-noise", "0.01")
+    frames, _ = replayed(tmp_path, *options, "--seed", str(seed), "--tag-noise", str(noise))
+    for ratios in lane_ratios(frames):
+        assert ratios.is_not_null().mean() > 0.95
+        assert (ratios > 3).mean() <= 0.02
+    assert frames["lane_heading_std_deg"].median() < 0.15
+
+
+@pytest.mark.parametrize("seed", [547, 548])
+def test_a_kerb_beside_a_missing_line_is_not_the_boundary(tmp_path, seed):
+    """The right line is missing on 40 m; the kerb is 2.4 m beyond it."""
+    options = ("--scene", "bend", "--missing-lines", "20,60", "--seconds", "7", "--without", "right")
+    frames, _ = replayed(tmp_path, *options, "--seed", str(seed), "--tag-noise", "0.05", "--depth-noise", "0.01")
+    for side in ("left", "right"):
+        off_m = frames.select(pl.col(f"lane_{side}_offset_m") - pl.col(f"lane_{side}_true_offset_m")).to_series()
+        assert off_m.is_not_null().mean() > 0.35
+        assert off_m.abs().max() < 1.0
+    assert frames["lane_changes"].max() == 0

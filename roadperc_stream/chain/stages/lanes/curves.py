@@ -6,7 +6,7 @@ several parallel ones. The robust fit is y = offset + heading x + curvature x^2 
 the straight part near the car into a bend.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,11 +127,15 @@ class _Noise:
 
 @dataclass(frozen=True)
 class Curve:
-    """offset (m), heading (rad) and curvature (1/m) at ego x = 0, with (3, 3) covariance."""
+    """offset (m), heading (rad) and curvature (1/m) at ego x = 0, with (3, 3) covariance.
+
+    ``drawn`` (3,) is by how much a change of the curvature along the boundary, 1 per square metre, changes ``state``.
+    """
 
     state: Float
     covariance: Float
     reach_m: float
+    drawn: Float = field(default_factory=lambda: np.zeros(3))
     noise_px: float = 0.0
     """Standard deviation of the edges from the curve, pixels."""
 
@@ -224,17 +228,26 @@ def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: flo
     fit = follow(points, (offset + aside, heading, curvature), limits, weighing)
     if fit is None:
         return None
-    return Curve(np.array(fit.state), _covariance(fit, noise), fit.reached, noise.edge_px)
+    on_it = np.abs(edges.y - lateral(np.array(fit.state), edges.x)) < points.inside
+    covariance, drawn = _covariance(fit, noise, edges.x[on_it & (edges.x <= fit.reached)])
+    return Curve(np.array(fit.state), covariance, fit.reached, drawn, noise.edge_px)
 
 
-def _covariance(fit: Quadratic, noise: _Noise) -> Float:
-    """(3, 3) covariance of offset, heading and curvature, from the residuals and the information of the edges."""
+def _covariance(fit: Quadratic, noise: _Noise, x: Float) -> tuple[Float, Float]:
+    """(3, 3) covariance of offset, heading and curvature, from the residuals and the information of edges at (N,) x.
+
+    Then ``Curve.drawn``, which is the fit of a quadratic to the same edges on x^3 / 6.
+    """
     i00, i01, i02, i11, i12, i22 = fit.information
     scale = max(fit.spread, _LEAST_SPREAD) * noise.blob_variance
     known = np.array([[i00, i01, i02], [i01, i11, i12], [i02, i12, i22]]) / scale
     # Small residuals do not make the prior of the curvature sharper.
     known[2, 2] += _CURVATURE_INFORMATION / max(scale, 1.0)
-    return np.asarray(np.linalg.inv(known), np.float64)
+    covariance = np.asarray(np.linalg.inv(known), np.float64)
+    of_x4 = x**4 / noise.std_m(x) ** 2
+    x3, x4 = 2 * i12, 4 * i22
+    x5 = x4 * float(of_x4 @ x) / float(of_x4.sum())
+    return covariance, covariance @ (np.array([x3 / 6, x4 / 6, x5 / 12]) / scale)
 
 
 def _explained(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:

@@ -65,7 +65,7 @@ def _boundary(
         heading,
         curvature,
         raw_offset_m,
-        tuple(track.state_covariance.ravel().tolist()),
+        tuple(track.reported_covariance.ravel().tolist()),
         tracked.inside.majority,
         tracked.outside.majority,
         ahead,

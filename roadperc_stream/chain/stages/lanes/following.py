@@ -59,14 +59,14 @@ def followed(
         curve = observation.curve_beyond(cfg, side, outward(side) * other.offset_m + MIN_WIDTH_M)
     if before is not None:
         for candidate in _candidates(cfg, side, before, observation, curve):
-            updated = tracking.update(cfg, before.track, candidate.state, candidate.covariance)
+            updated = tracking.update(cfg, before.track, candidate)
             if updated is not None and observation is not None:
                 return measured(cfg, replace(before, track=updated), side, candidate, observation)
         if not tracking.expired(cfg, before.track):
             return before
     if observation is None or curve is None or not curve.is_sure:
         return None
-    begun = TrackedBoundary(tracking.start(curve.state, curve.covariance, stamp_ns), curve.reach_m)
+    begun = TrackedBoundary(tracking.start(curve, stamp_ns), curve.reach_m)
     return measured(cfg, begun, side, curve, observation)
 
 
@@ -185,8 +185,8 @@ def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | 
             continue
         track = tracking.shifted(crossed.track, outward(side) * width_m, _MARKING_STD_M)
         if far_edge is not None:
-            updated = tracking.update(cfg, track, far_edge.state, far_edge.covariance)
-            track = updated or tracking.start(far_edge.state, far_edge.covariance, stamp_ns)
+            updated = tracking.update(cfg, track, far_edge)
+            track = updated or tracking.start(far_edge, stamp_ns)
         inner = judged(TrackedBoundary(track, crossed.reach_m, crossed.outside, crossed.inside))
         outer = followed(cfg, side, None, inner, observation, stamp_ns)
         if _runs_along(crossed):

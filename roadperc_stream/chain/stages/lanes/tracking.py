@@ -1,4 +1,4 @@
-"""One boundary over time: a Kalman filter on offset, heading and curvature, its class, and the state of the lanes.
+"""One boundary over time: a Kalman filter on its shape, its class, and the state of the lanes.
 
 Where the car's motion since the last frame is known from odometry, the boundary is moved against it; else the car's
 sideways motion is a random acceleration, and heading and curvature are random walks (Bar-Shalom, Li and Kirubarajan
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from roadperc_stream.chain.stages.lanes.curves import Curve
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.model import LaneChange, Odometry, Side, read_only
@@ -17,9 +18,9 @@ from roadperc_stream.system.time import NS_PER_S
 
 MOST_OBSERVED = 256
 """Limit of kept observations: half a second at 500 frames per second."""
-_OFFSET, _RATE, _HEADING, _CURVATURE = range(4)
+_OFFSET, _RATE, _HEADING, _CURVATURE, _SLOPE = range(5)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
-_H = np.eye(4)[_MEASURED]
+_H = np.eye(5)[_MEASURED]
 _FIRST_RATE_STD_MPS = 1.0
 _HEADING_WALK = 0.02
 """Radians per root second."""
@@ -33,6 +34,15 @@ _ROUGH_HEADING_PER_ROOT_M = 0.0008
 _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.0008
 """Per metre and root metre driven: how fast roads change their curvature."""
+_SLOPE_STD_PER_M2 = 1e-4
+_SLOPE_LENGTH_M = 15.0
+_SLOPE_S = 1.0
+"""The slope of the curvature along the road ahead: its standard deviation, and after what way or time it is another
+one. It draws all measurements to the same side, but says nothing about the road at the car."""
+_BLIND_M = 4.0
+_BEND_M = 10.0
+"""The car does not see the road up to ``_BLIND_M`` ahead. A bend that it sees ahead may already have begun there: with
+a change of the curvature that is the slope's change on ``_BEND_M``."""
 _Y_AXIS_STEPS = 3
 """Fixed-point steps for the boundary's intersection with a turned y axis; each reduces the error by heading * turn."""
 _CONTRADICTS = 7.81
@@ -65,7 +75,7 @@ class ClassHistory:
 
 @dataclass(frozen=True)
 class BoundaryTrack:
-    """(4,) offset m, its rate m/s, heading rad, curvature 1/m; (4, 4) covariance; when it was last measured."""
+    """(5,) offset m, its rate m/s, heading rad, curvature 1/m, its slope ahead 1/m2; (5, 5) covariance; two stamps."""
 
     mean: Float
     covariance: Float
@@ -73,8 +83,8 @@ class BoundaryTrack:
     measured_ns: int
 
     def __post_init__(self) -> None:
-        read_only(self.mean, np.float64, (4,), "mean")
-        read_only(self.covariance, np.float64, (4, 4), "covariance")
+        read_only(self.mean, np.float64, (5,), "mean")
+        read_only(self.covariance, np.float64, (5, 5), "covariance")
 
     @property
     def state(self) -> Float:
@@ -90,6 +100,12 @@ class BoundaryTrack:
     def state_covariance(self) -> Float:
         """(3, 3) covariance of ``state``."""
         return self.covariance[np.ix_(_MEASURED, _MEASURED)]
+
+    @property
+    def reported_covariance(self) -> Float:
+        """``state_covariance``, larger where a bend begins: measurements there have the same error in many frames."""
+        slope_variance = max(float(self.mean[_SLOPE] ** 2 - self.covariance[_SLOPE, _SLOPE]), 0.0)
+        return self.state_covariance + slope_variance * _BEND_M**2 / _BLIND_M * _curvature_walk(_BLIND_M, -1.0)
 
 
 @dataclass(frozen=True)
@@ -136,13 +152,15 @@ class LanesState:
         return replace(self, left=boundary) if side == "left" else replace(self, right=boundary)
 
 
-def start(state: Float, covariance: Float, stamp_ns: int) -> BoundaryTrack:
+def start(curve: Curve, stamp_ns: int) -> BoundaryTrack:
     """A new track: its state equals the first measurement."""
-    mean = np.zeros(4)
-    mean[_MEASURED] = state
-    P = np.zeros((4, 4))
+    mean = np.zeros(5)
+    mean[_MEASURED] = curve.state
+    P = np.zeros((5, 5))
     P[_RATE, _RATE] = _FIRST_RATE_STD_MPS**2
-    P[np.ix_(_MEASURED, _MEASURED)] = covariance
+    P[_SLOPE, _SLOPE] = _SLOPE_STD_PER_M2**2
+    P[_MEASURED, _SLOPE] = P[_SLOPE, _MEASURED] = -curve.drawn * _SLOPE_STD_PER_M2**2
+    P[np.ix_(_MEASURED, _MEASURED)] = curve.covariance + np.outer(curve.drawn, curve.drawn) * _SLOPE_STD_PER_M2**2
     return BoundaryTrack(mean, P, stamp_ns, stamp_ns)
 
 
@@ -155,9 +173,10 @@ def predict(cfg: LanesConfig, track: BoundaryTrack, stamp_ns: int, moved: Odomet
     dt = (stamp_ns - track.stamp_ns) / NS_PER_S
     if moved is not None and moved.step is not None:
         return _moved(track, stamp_ns, dt, moved.step, np.reshape(moved.covariance, (6, 6)))
-    F = np.eye(4)
+    F = np.eye(5)
     F[_OFFSET, _RATE] = dt
-    Q = np.zeros((4, 4))
+    Q = np.zeros((5, 5))
+    _forget_slope(F, Q, dt / _SLOPE_S)
     Q[:2, :2] = cfg.process_noise**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     Q[_HEADING, _HEADING] = _HEADING_WALK**2 * dt
     Q[_CURVATURE, _CURVATURE] = _CURVATURE_WALK_PER_M**2 * dt
@@ -168,19 +187,27 @@ def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, s
     """The track in the frame of the moved car; its covariance to first order in the angles between car and boundary."""
     dx, dy = float(last_T_this[0, 3]), float(last_T_this[1, 3])
     turn = float(np.arctan2(last_T_this[1, 0], last_T_this[0, 0]))
-    F = np.zeros((4, 4))
+    F = np.zeros((5, 5))
     F[_OFFSET, [_OFFSET, _HEADING, _CURVATURE]] = 1.0, dx, dx**2 / 2
     F[_HEADING, [_HEADING, _CURVATURE]] = 1.0, dx
     F[_CURVATURE, _CURVATURE] = 1.0
+    Q = np.zeros((5, 5))
+    _forget_slope(F, Q, abs(dx) / _SLOPE_LENGTH_M)
     mean = track.mean.copy()
     mean[_MEASURED] = _seen_from(track.state, dx, dy, turn)
+    mean[_SLOPE] *= F[_SLOPE, _SLOPE]
     # If the next motion is unknown, the prediction uses the rate of this step.
     mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
-    Q = np.zeros((4, 4))
     Q[_RATE, _RATE] = _MOVED_RATE_STD_MPS**2
     Q[np.ix_(_MEASURED, _MEASURED)] = _road_ahead(abs(dx), np.sign(dx))
     Q[np.ix_([_OFFSET, _HEADING], [_OFFSET, _HEADING])] += step_covariance[np.ix_(_SIDEWAYS, _SIDEWAYS)]
     return BoundaryTrack(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
+
+
+def _forget_slope(F: Float, Q: Float, passed: float) -> None:
+    """Write the slope's decay, and the noise that keeps its deviation, to a step's (5, 5) matrices."""
+    F[_SLOPE, _SLOPE] = np.exp(-passed)
+    Q[_SLOPE, _SLOPE] = _SLOPE_STD_PER_M2**2 * (1 - np.exp(-2 * passed))
 
 
 def _seen_from(state: Float, dx: float, dy: float, turn: float) -> Float:
@@ -199,35 +226,42 @@ def _seen_from(state: Float, dx: float, dy: float, turn: float) -> Float:
 def _road_ahead(walked_m: float, direction: float) -> Float:
     """(3, 3) covariance of offset, heading and curvature after a random walk of all three along the road."""
     w, d = walked_m, direction
-    walk = np.array(
+    rough = np.zeros((3, 3))
+    rough[:2, :2] = _ROUGH_HEADING_PER_ROOT_M**2 * np.array([[w**3 / 3, d * w**2 / 2], [d * w**2 / 2, w]])
+    rough[0, 0] += _ROUGH_OFFSET_ROOT_M**2 * w
+    result: Float = _CURVATURE_WALK_ROOT_M**2 * _curvature_walk(w, d) + rough
+    return result
+
+
+def _curvature_walk(walked_m: float, direction: float) -> Float:
+    """(3, 3) covariance of offset, heading and curvature after a random walk of the curvature: 1 per metre."""
+    w, d = walked_m, direction
+    return np.array(
         [
             [w**5 / 20, d * w**4 / 8, w**3 / 6],
             [d * w**4 / 8, w**3 / 3, d * w**2 / 2],
             [w**3 / 6, d * w**2 / 2, w],
         ]
     )
-    rough = np.zeros((3, 3))
-    rough[:2, :2] = _ROUGH_HEADING_PER_ROOT_M**2 * np.array([[w**3 / 3, d * w**2 / 2], [d * w**2 / 2, w]])
-    rough[0, 0] += _ROUGH_OFFSET_ROOT_M**2 * w
-    result: Float = _CURVATURE_WALK_ROOT_M**2 * walk + rough
-    return result
 
 
-def update(cfg: LanesConfig, track: BoundaryTrack, state: Float, covariance: Float) -> BoundaryTrack | None:
+def update(cfg: LanesConfig, track: BoundaryTrack, curve: Curve) -> BoundaryTrack | None:
     """The track after a measurement at its stamp; None if the measurement is outside the gate.
 
     If prediction and measurement disagree, the covariance grows with their squared Mahalanobis distance (Birge, "The
     Calculation of Errors by the Method of Least Squares", Physical Review 40, 1932).
     """
-    innovation = state - _H @ track.mean
-    S = _H @ track.covariance @ _H.T + covariance
+    H = _H.copy()
+    H[:, _SLOPE] = curve.drawn
+    innovation = curve.state - H @ track.mean
+    S = H @ track.covariance @ H.T + curve.covariance
     distance = float(innovation @ np.linalg.solve(S, innovation))
     if distance > cfg.gate:
         return None
-    gain = np.linalg.solve(S, _H @ track.covariance).T
-    rest = np.eye(4) - gain @ _H
+    gain = np.linalg.solve(S, H @ track.covariance).T
+    rest = np.eye(5) - gain @ H
     # The Joseph form keeps the covariance symmetric and positive over thousands of frames.
-    P = (rest @ track.covariance @ rest.T + gain @ covariance @ gain.T) * max(distance / _CONTRADICTS, 1.0)
+    P = (rest @ track.covariance @ rest.T + gain @ curve.covariance @ gain.T) * max(distance / _CONTRADICTS, 1.0)
     return BoundaryTrack(track.mean + gain @ innovation, P, track.stamp_ns, track.stamp_ns)
 
 
@@ -247,8 +281,8 @@ def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack
 
 def std_at(track: BoundaryTrack, x_m: float) -> float:
     """Standard deviation of the lateral position ``x_m`` ahead, metres."""
-    design = np.array([1.0, x_m, x_m**2 / 2])
-    return float(np.sqrt(design @ track.state_covariance @ design))
+    design = np.array([1.0, 0.0, x_m, x_m**2 / 2, x_m**3 / 6])
+    return float(np.sqrt(design @ track.covariance @ design))
 
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:

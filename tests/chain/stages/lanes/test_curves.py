@@ -90,6 +90,15 @@ def test_without_information_the_curvature_has_its_prior():
     assert known < 0.001
 
 
+def test_a_changing_curvature_draws_the_fit_as_told():
+    """Edges on y = 1.7 + c x^3 / 6 are fitted by a quadratic that is off by about ``drawn`` c."""
+    slope_per_m2 = 1e-5
+    cloud = points((1.7, 0.0, 0.0))
+    cloud[:, 1] += slope_per_m2 * cloud[:, 0] ** 3 / 6
+    curve = fit(cloud, (1.7, 0.0, 0.0))
+    np.testing.assert_allclose(curve.state - [1.7, 0.0, 0.0], curve.drawn * slope_per_m2, rtol=0.15)
+
+
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
 def test_rows_are_counted_once_and_only_beside_the_line(side, sign):
     """Of six edges two are in one row, one is far inside, one unknown, and one beyond the curve's reach."""

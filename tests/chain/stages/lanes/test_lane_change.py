@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import tracking
+from roadperc_stream.chain.stages.lanes.curves import Curve
 from roadperc_stream.chain.stages.lanes.following import change_of, handed_over
 from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
@@ -88,14 +89,14 @@ def test_the_change_lasts_while_the_car_is_over_the_line():
 )
 def test_only_a_certain_line_is_crossed(std_m, heading_std, changes, is_sure):
     """30 cm past the line: an uncertain line may still be ahead of the car."""
-    track = tracking.start(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 1)
+    track = tracking.start(Curve(np.array([-0.3, 0.0, 0.0]), np.diag([std_m, heading_std, 0.001]) ** 2, 20.0), 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
     assert after.lane_changes == changes
     assert (after.right and after.right.is_sure) == is_sure
 
 
 def test_a_line_passed_in_a_turn_is_no_lane_change_but_changes_its_side():
-    track = tracking.start(np.array([-0.3, 0.6, 0.0]), np.diag([0.02, 0.01, 0.001]) ** 2, 1)
+    track = tracking.start(Curve(np.array([-0.3, 0.6, 0.0]), np.diag([0.02, 0.01, 0.001]) ** 2, 20.0), 1)
     after = handed_over(CFG, LanesState(left=TrackedBoundary(track, 20.0)), None, 1)
     assert (after.lane_changes, after.lane_change, after.left) == (0, "none", None)
     assert after.right.offset_m < -0.1

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import tracking
+from roadperc_stream.chain.stages.lanes.curves import Curve
 from roadperc_stream.chain.stages.lanes.tracking import ClassHistory, LanesState
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import Odometry
@@ -17,21 +18,26 @@ CFG = LanesConfig()
 R = np.diag([0.03, 0.005, 0.001]) ** 2
 
 
+def seen(*state, drawn=(0.0, 0.0, 0.0)):
+    """A measured boundary."""
+    return Curve(np.array(state), R, 20.0, np.array(drawn))
+
+
 def test_a_new_track_equals_its_measurement_with_unknown_rate():
-    track = tracking.start(np.array([1.7, 0.01, 0.002]), R, 7)
+    track = tracking.start(seen(1.7, 0.01, 0.002), 7)
     np.testing.assert_array_equal(track.state, [1.7, 0.01, 0.002])
     np.testing.assert_array_equal(track.state_covariance, R)
-    np.testing.assert_array_equal(track.covariance[1], [0.0, 1.0, 0.0, 0.0])
+    np.testing.assert_array_equal(track.covariance[1], [0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def test_jitter_shrinks_and_a_drift_is_tracked_without_lag():
     rng = np.random.default_rng(0)
     true = 1.7 + 0.01 * np.arange(200)
     measured = true + rng.normal(0, 0.03, 200)
-    track, offsets = tracking.start(np.array([measured[0], 0.0, 0.0]), R, 0), []
+    track, offsets = tracking.start(seen(measured[0], 0.0, 0.0), 0), []
     for k, offset_m in enumerate(measured):
         track = tracking.predict(CFG, track, k * STEP_NS, None)
-        track = tracking.update(CFG, track, np.array([offset_m, 0.0, 0.0]), R)
+        track = tracking.update(CFG, track, seen(offset_m, 0.0, 0.0))
         offsets.append(track.state[0])
     jitter = np.std(np.diff(offsets[20:], 2)) / np.std(np.diff(measured[20:], 2))
     assert jitter < 1 / 3
@@ -53,13 +59,13 @@ def last_T_this(dx, dy, turn):
 
 def test_a_step_ahead_in_a_bend_moves_the_boundary_against_the_car():
     """After 2 m straight ahead, heading and curvature of a boundary change its offset and heading."""
-    track = tracking.start(np.array([1.7, 0.02, 0.01]), R, 0)
+    track = tracking.start(seen(1.7, 0.02, 0.01), 0)
     after = tracking.predict(CFG, track, STEP_NS, moved(2.0))
     np.testing.assert_allclose(after.state, [1.7 + 0.04 + 0.02, 0.04, 0.01], atol=1e-12)
 
 
 def test_a_step_aside_and_a_turn_are_subtracted():
-    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
+    track = tracking.start(seen(1.7, 0.0, 0.0), 0)
     after = tracking.predict(CFG, track, STEP_NS, moved(0.5, 0.1, 0.03))
     # The turned y axis meets the boundary at a slant.
     np.testing.assert_allclose(after.state, [1.6 / np.cos(0.03), -np.tan(0.03), 0.0], rtol=1e-9, atol=1e-12)
@@ -79,18 +85,18 @@ def test_a_line_beside_a_turning_car_stays_in_place():
 
 def exactly_known(state, rate=0.0):
     """A track without uncertainty, so that a prediction's covariance is that of the motion."""
-    mean = np.insert(np.array(state, np.float64), 1, rate)
-    return tracking.BoundaryTrack(mean, np.zeros((4, 4)), 0, 0)
+    offset, heading, curvature = state
+    return tracking.BoundaryTrack(np.array([offset, rate, heading, curvature, 0.0]), np.zeros((5, 5)), 0, 0)
 
 
 def test_without_odometry_the_rate_is_a_random_walk():
     """With q = 2 m/s and t = 0.5 s, offset and rate have the covariance q^2 (t^3 / 3, t^2 / 2; t^2 / 2, t)."""
     cfg = CFG.model_copy(update={"process_noise": 2.0})
     predicted = tracking.predict(cfg, exactly_known((1.7, 0.01, 0.002), rate=-0.4), 10 * STEP_NS, None)
-    np.testing.assert_allclose(predicted.mean, [1.5, -0.4, 0.01, 0.002])
+    np.testing.assert_allclose(predicted.mean, [1.5, -0.4, 0.01, 0.002, 0.0])
     covariance = predicted.covariance
     np.testing.assert_allclose(covariance[:2, :2], [[4 * 0.125 / 3, 0.5], [0.5, 2.0]])
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[2:] / 0.5), [0.02, 0.003])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)[2:4] / 0.5), [0.02, 0.003])
     np.testing.assert_array_equal(covariance[2:, :2], 0.0)
 
 
@@ -124,7 +130,7 @@ def test_with_odometry_uncertainty_is_propagated_along_the_road():
     """After 2 m, heading errors change the offset; curvature errors change offset and heading."""
     known = exactly_known((1.7, 0.0, 0.0))
     for column, seen in ((2, [0.02, 0.01, 0.0]), (3, [0.02, 0.02, 0.01])):
-        uncertain = np.zeros((4, 4))
+        uncertain = np.zeros((5, 5))
         uncertain[column, column] = 0.01**2
         track = tracking.BoundaryTrack(known.mean, uncertain, 0, 0)
         added = (
@@ -136,18 +142,32 @@ def test_with_odometry_uncertainty_is_propagated_along_the_road():
 
 def test_an_update_weighs_prediction_and_measurement_by_variance():
     """Two equally good offsets give their mean with half the variance; the unmeasured rate stays."""
-    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
-    after = tracking.update(CFG, track, np.array([1.74, 0.002, 0.0]), R)
+    track = tracking.start(seen(1.7, 0.0, 0.0), 0)
+    after = tracking.update(CFG, track, seen(1.74, 0.002, 0.0))
     np.testing.assert_allclose(after.state, [1.72, 0.001, 0.0], atol=1e-12)
     np.testing.assert_allclose(after.state_covariance, R / 2, atol=1e-15)
     assert after.covariance[1, 1] == 1.0
 
 
+def test_a_bend_ahead_makes_the_reported_deviation_larger():
+    """A straight boundary, drawn aside by a bend ahead in all later measurements: it stays, its deviation grows."""
+    drawn = np.array([400.0, -110.0, 17.0])
+    track = tracking.start(seen(1.7, 0.0, 0.0, drawn=drawn), 0)
+    for _ in range(20):
+        track = tracking.update(CFG, track, seen(1.7, 0.0, 0.0, drawn=drawn))
+    np.testing.assert_array_equal(track.reported_covariance, track.state_covariance)
+    for number in range(1, 6):
+        track = tracking.predict(CFG, track, number * STEP_NS, moved(1.0))
+        track = tracking.update(CFG, track, seen(1.7 + 0.06, -0.0165, 0.0025, drawn=drawn))
+    assert track.state[0] == pytest.approx(1.7, abs=0.02)
+    assert (np.diag(track.reported_covariance) > 1.1 * np.diag(track.state_covariance)).all()
+
+
 @pytest.mark.parametrize(("sigmas", "taken"), [(0.99, True), (1.01, False)])
 def test_the_gate_is_a_squared_distance_in_standard_deviations(sigmas, taken):
-    track = tracking.start(np.array([1.7, 0.0, 0.0]), R, 0)
-    aside = np.array([1.7 + sigmas * np.sqrt(CFG.gate * 2 * R[0, 0]), 0.0, 0.0])
-    assert (tracking.update(CFG, track, aside, R) is not None) == taken
+    track = tracking.start(seen(1.7, 0.0, 0.0), 0)
+    aside = seen(1.7 + sigmas * np.sqrt(CFG.gate * 2 * R[0, 0]), 0.0, 0.0)
+    assert (tracking.update(CFG, track, aside) is not None) == taken
 
 
 def after(*names, step_ns=STEP_NS, cfg=CFG):
