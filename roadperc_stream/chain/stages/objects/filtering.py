@@ -162,11 +162,12 @@ def _with_doubt(measured: Measured, weight: float, others: Sequence[tuple[float,
     distance_m, std_m = measured.distance_m, measured.std_m
     if distance_m is None or std_m is None:
         return measured
-    apart_m = [
-        (w, max(abs(m.distance_m - distance_m) - (m.std_m or 0.0), 0.0)) for w, m in others if m.distance_m is not None
-    ]
-    weights, off_m = np.array([(weight, 0.0), *apart_m]).T
-    others_m = sqrt(float(likely(weights) @ off_m**2))
+    known = [(w, m.distance_m, m.std_m or 0.0) for w, m in others if m.distance_m is not None]
+    off_m = [max(abs(other_m - distance_m) - other_std_m, 0.0) for _, other_m, other_std_m in known]
+    if not any(off_m):
+        return measured
+    shares = likely(np.array([weight, *(w for w, _, _ in known)]))
+    others_m = sqrt(float(shares @ np.array([0.0, *off_m]) ** 2))
     return replace(measured, std_m=hypot(std_m, others_m)) if others_m < MOST_STD_SHARE * distance_m else _DOUBTFUL
 
 
