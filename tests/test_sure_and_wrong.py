@@ -59,7 +59,7 @@ def test_a_distance_is_not_that_of_another_object_in_the_box(tmp_path, tag_noise
 
 
 def test_times_to_impact_are_known_where_the_lane_is_lost_and_found(tmp_path):
-    options = ("--scene", "bend", "--lead-brakes", "--missing-lines", "20,60", "--seconds", "4.5", "--seed", "703")
+    options = ("--scene", "bend", "--lead-brakes", "--missing-lines", "20,60", "--seconds", "4.5", "--seed", "710")
     noise = ("--tag-noise", "0.05", "--depth-noise", "0.01", "--without", "right")
     _, objects = replayed(tmp_path, *options, *noise)
     ahead = objects.filter(pl.col("true_time_to_impact_s").is_between(0.5, 10) & pl.col("true_in_path"))
