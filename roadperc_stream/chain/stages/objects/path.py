@@ -57,6 +57,8 @@ _ACROSS = 3.0
 _CROSSING_MPS = 2.0
 """Speed across the path above which a vehicle crosses it instead of changing lanes."""
 _SURE_SIGMAS = 2.0
+_STEERING_MPS3 = 0.11
+"""Standard deviation of the lateral jerk by steering; the path is a circle."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +267,8 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
     """Whether an object in the path may still be there when the car arrives; a vehicle needs a known motion.
 
     An oncoming car in a bend is briefly in the path, but crosses it at several metres per second; lane changes are
-    slower. A pedestrian or a car that crosses the road may stop at any time. While the path has just changed, the
+    slower. A standing car far ahead may be beside the path where the road begins to bend. A pedestrian or a car that
+    crosses the road may stop at any time. While the path has just changed, the
     speed across it is unknown, but a car that drives ahead does not cross it.
     """
     if classes_of_label(label) == ("pedestrian",) or _crosses_road(track):
@@ -275,7 +278,17 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
         return _drives_ahead(track)
     half_m = cfg.car_width_m / 2 + cfg.path_margin_m
     inner = (right, left.mirrored())
-    return not any(edge.rate > _CROSSING_MPS and _least(edge, after_s) > half_m for edge in inner)
+    if any(edge.rate > _CROSSING_MPS and _least(edge, after_s) > half_m for edge in inner):
+        return False
+    return _drives_ahead(track) or half_m - max(edge.value for edge in inner) > _path_std_m(track)
+
+
+def _path_std_m(track: ObjectTrack) -> float:
+    """Standard deviation of the path at an object, for unknown steering until the car is there; 0 if it stands."""
+    distance, ego_rate = track.distance_m, track.ego_rate
+    if distance is None or ego_rate is None or ego_rate.end_mps >= 0:
+        return 0.0
+    return _STEERING_MPS3 / 6 * (distance.value / -ego_rate.end_mps) ** 3
 
 
 def _crosses_road(track: ObjectTrack) -> bool:

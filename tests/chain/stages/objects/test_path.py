@@ -248,6 +248,16 @@ def test_a_vehicle_that_crosses_the_path_fast_has_no_time_to_impact_after_the_pa
     assert (item.in_path, item.time_to_impact_s) == (True, None)
 
 
+@pytest.mark.parametrize(("ahead_m", "left_m", "threatens"), [(40.0, 1.7, False), (40.0, 0.0, True), (15.0, 1.7, True)])
+def test_a_standing_car_at_the_edge_of_the_path_threatens_when_it_is_near(ahead_m, left_m, threatens):
+    """Until the car is there, 4 s later, the path may bend by a metre."""
+    road = Road()
+    for k in range(20):
+        (item,) = road.frame((ahead_m + 10.0 * STEP_S * (19 - k), left_m), ego_step_m=10.0 * STEP_S).objects
+    assert item.in_path
+    assert (item.time_to_impact_s is not None) == threatens
+
+
 def test_odometry_gives_the_closing_speed_while_braking():
     """The ego car brakes at 8 m/s2 behind a standing car; without odometry the filter reacts late."""
     errors = {}
