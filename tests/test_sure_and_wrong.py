@@ -97,3 +97,12 @@ def test_a_kerb_beside_a_missing_line_is_not_the_boundary(tmp_path, seed):
         assert off_m.is_not_null().mean() > 0.35
         assert off_m.abs().max() < 1.0
     assert frames["lane_changes"].max() == 0
+
+
+def test_steps_of_one_camera_with_the_bonnet_in_view(tmp_path):
+    options = ("--scene", "bend", "--bonnet", "0.1", "--fov", "70", "--seconds", "2.5", "--seed", "711")
+    table, _ = replayed(tmp_path, *options, "--without", "right", "--without", "depth")
+    steps = table.select(off_m=(pl.col("step_m") - pl.col("true_step_m")).abs(), std_m="step_std_m").drop_nulls()
+    assert len(steps) >= 0.9 * (len(table) - 1)
+    assert (steps["off_m"] > 3 * steps["std_m"]).mean() <= 0.04
+    assert steps["off_m"].median() < 0.03

@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.odometry import brightness, camera_pitch, keyframes
+from roadperc_stream.chain.stages.odometry import brightness, camera_pitch, keyframes, own_car
 from roadperc_stream.chain.stages.odometry.camera_pitch import LINES_STD, CameraPitch, pitch_by_lines
 from roadperc_stream.chain.stages.odometry.epipolar import standing_still
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame, tracking_frame
@@ -56,7 +56,13 @@ def step(
     if frame.grey is None or brightness.shows_nothing(frame.grey):
         return state, _without_image(state, frame)
     cv2.setRNGSeed(int(rng.integers(2**31)))
-    tracked = tracking_frame(cfg, frame, frame.grey, road)
+    state, tracked = _without_own_car(state, tracking_frame(cfg, frame, frame.grey, road))
+    after, out = _followed(cfg, state, tracked)
+    return replace(after, likeness=state.likeness), out
+
+
+def _followed(cfg: OdometryConfig, state: OdometryState, tracked: TrackingFrame) -> tuple[OdometryState, Odometry]:
+    """The state after a frame with an image, and its pose."""
     pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, tracked)
     if state.keyframe is None or state.last is None:
         return _begun(cfg, state.odom_T_ego, pitch, tracked), Odometry("first", state.odom_T_ego)
@@ -81,6 +87,18 @@ def _without_image(state: OdometryState, frame: Frame) -> Odometry | Absent:
     missing = frame.grey is None and not frame.image_unusable
     why = Reason("odometry", "no_image" if missing else "image_unusable" if frame.grey is None else "image_uniform")
     return Absent(why) if missing and state.keyframe is None else Odometry("lost", state.odom_T_ego, reason=why)
+
+
+def _without_own_car(state: OdometryState, frame: TrackingFrame) -> tuple[OdometryState, TrackingFrame]:
+    """The state and the frame in which the own car counts as movable; with depth they stay as they are."""
+    keyframe, shape = state.keyframe, frame.grey.shape
+    if keyframe is None or keyframe.camera != frame.camera or frame.depth_m is not None:
+        return replace(state, likeness=()), frame
+    likeness = own_car.likeness(keyframe.grey, frame.grey, state.likeness)
+    first = own_car.first_row(likeness, shape[0])
+    keyframe = replace(keyframe, movable=own_car.without_own_car(keyframe.movable, first, shape))
+    frame = replace(frame, movable=own_car.without_own_car(frame.movable, first, shape))
+    return replace(state, keyframe=keyframe, likeness=likeness), frame
 
 
 def _equalised(this: FollowedFrame) -> FollowedFrame:

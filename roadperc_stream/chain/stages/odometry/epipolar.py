@@ -95,6 +95,13 @@ def standing_still(camera: Camera, before_px: Float32, px: Float32) -> Float | N
     return R if np.quantile(shift_px, _STANDING_SHARE) < scaled(MIN_PARALLAX_PX, camera.height) else None
 
 
+def parallax_px(camera: Camera, key_px: Float32, px: Float32, motion: Motion) -> float:
+    """Median shift of the (N, 2) features that agree on a motion, beyond that of its rotation."""
+    agrees = motion.inliers & np.isfinite(px[:, 0])
+    turned = project(camera, rays(camera, key_px[agrees].astype(float)) @ motion.this_T_key[:3, :3].T)
+    return float(np.median(np.linalg.norm(turned - px[agrees], axis=1))) if agrees.any() else 0.0
+
+
 def _turn(a: Float, b: Float) -> Float:
     """(3, 3) rotation with b ~ R a, by the orthogonal Procrustes solution (Kabsch 1976) reweighted to an L1 fit."""
     a = a / np.linalg.norm(a, axis=1, keepdims=True)

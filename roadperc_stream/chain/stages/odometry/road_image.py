@@ -49,6 +49,13 @@ _GRAIN_PX: Final = 16.0
 _TRIED_PX: Final = 0.7
 """Shift of the road's image between two tried lengths."""
 _MOST_TRIED: Final = 200
+_NEARER: Final = 0.5
+"""Least shift of the road's image as a share of the features' median one; in real and rendered drives it is 0.9."""
+_APART: Final = 0.2
+_AS_GOOD: Final = 0.94
+"""Relative difference of another length, and share of the best correlation from which it cannot be excluded."""
+_SEEN_PX: Final = 0.65
+"""Least parallax for a length that is not expected: with less, the motion's direction is the tracks' noise."""
 _SMALL_PX: Final = 0.25
 _SMALL_PITCH: Final = 0.002
 """Pitch step of the numerical derivative, radians."""
@@ -121,11 +128,11 @@ def road_view(
     chosen = np.flatnonzero(near)[:_MOST_PIXELS]
     if len(chosen) < _LEAST_PIXELS:
         return None
-    strip = ((aside_m[chosen] + _HALF_WIDTH_M) / _STRIP_M).astype(int)
+    along = np.searchsorted(_BLOCK_ENDS_M, ahead[chosen, 0])
+    strip = ((aside_m[chosen] + _HALF_WIDTH_M) / _STRIP_M).astype(int) * (len(_BLOCK_ENDS_M) + 1) + along
     levels = high_pass(key_grey)[rows[chosen], columns[chosen]]
     limit = _CLIPPED * float(np.median(np.abs(levels)))
     levels = np.clip(levels, -limit, limit)
-    along = np.searchsorted(_BLOCK_ENDS_M, ahead[chosen, 0])
     across = np.floor((aside_m[chosen] / _HALF_WIDTH_M + 1) / 2 * _BLOCKS_ACROSS).astype(int)
     block = along * _BLOCKS_ACROSS + np.clip(across, 0, _BLOCKS_ACROSS - 1)
     return RoadView(
@@ -140,6 +147,7 @@ def road_motion(
     key_T_this_turn: tuple[Float, Float],
     tried_m: tuple[float, float],
     least_correlation: float = LEAST_CORRELATION,
+    parallax_px: float = 0.0,
 ) -> RoadMotion | None:
     """The length of a motion by the road's image.
 
@@ -149,7 +157,8 @@ def road_motion(
         movable: (H, W) not 0 on movable objects in this image, or None.
         key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
         tried_m: shortest and longest length.
-        least_correlation: of the best length.
+        least_correlation: of the best length; above the default no other length may fit as well.
+        parallax_px: median shift of the features beyond that of the rotation; the near road moves farther.
 
     Returns:
         The length; None if the road has too little texture or no length fits clearly.
@@ -159,14 +168,18 @@ def road_motion(
     if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
         return None
     step_m = max(_TRIED_PX / shift_px, (tried_m[1] - tried_m[0]) / _MOST_TRIED)
-    # A camera that does not stand still moves the near road at least as far as most features.
-    shortest_m = max(tried_m[0], scaled(MIN_PARALLAX_PX, grey.shape[0]) / shift_px)
+    least_px = max(scaled(MIN_PARALLAX_PX, grey.shape[0]), _NEARER * parallax_px)
+    shortest_m = max(tried_m[0], least_px / shift_px)
     if shortest_m > tried_m[1]:
         return None
     lengths = step_m * np.arange(np.floor(shortest_m / step_m), tried_m[1] / step_m + 1.0)
     fits = np.array([picture.correlation(length) for length in lengths])
     best = int(np.argmax(fits))
     if not 0 < best < len(lengths) - 1 or fits[best] < least_correlation:
+        return None
+    others = fits[np.abs(lengths - lengths[best]) > _APART * lengths[best]]
+    is_clear = parallax_px > _SEEN_PX and others.max(initial=0.0) < _AS_GOOD * fits[best]
+    if least_correlation > LEAST_CORRELATION and not is_clear:
         return None
     before, at, after = fits[best - 1 : best + 2]
     bend = before - 2 * at + after

@@ -31,10 +31,13 @@ _CARRIED_SHARE: Final = 0.2
 """Largest standard deviation, as a share of the length, at which the last speed gives the scale."""
 _CARRIED_M: Final = 0.02
 """The same in metres, for short lengths."""
+_SURE_M: Final = 0.1
+"""Largest standard deviation of a short expected length, metres, that counts as an expectation."""
 _TIGHTEST_PER_M: Final = 0.15
 """Largest curvature of the road ahead."""
-_HEIGHT_SHARE: Final = 0.02
-"""Standard deviation of the camera height by the mounting, as a share; all lengths share it."""
+_HEIGHT_SHARE: Final = 0.045
+"""Standard deviation of the camera height by the mounting, as a share; all lengths share it. Three were off by
+1, 6 and 8 %."""
 _LEAN_M: Final = 0.8
 """Standard deviation of a length in a bend, as a share, by its curvature per metre: the car leans to one side."""
 _LEAST_UNEXPECTED: Final = 0.7
@@ -60,21 +63,24 @@ def scaled_by_road(
     pitch: CameraPitch,
     expected: Expected | None,
     possible_m: tuple[float, float],
+    parallax_px: float = 0.0,
 ) -> tuple[Motion, CameraPitch]:
     """The motion with the length that the road shows, else the expected length; and the updated pitch.
 
     The pitch counts if the road's plane is assumed from the mounting.
     ``expected`` is the length by triangulated points or at the last known speed, ``possible_m`` the shortest and the
-    longest length that a car can drive.
+    longest length that a car can drive, ``parallax_px`` the median shift of the features beyond that of the rotation.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
     bend_per_m = _curvature(frame, R, expected)
-    find = partial(_on_road, frame, keyframe, (R, t), pitch, bend_per_m)
+    find = partial(_on_road, frame, keyframe, (R, t), pitch, bend_per_m, parallax_px)
     found = None
     if expected is not None:
         reach_m = _SEARCHED * expected.length_m + _SIGMAS * float(np.sqrt(expected.variance))
-        found = find((max(expected.length_m - reach_m, possible_m[0]), min(expected.length_m + reach_m, possible_m[1])))
+        near_m = max(expected.length_m - reach_m, possible_m[0]), min(expected.length_m + reach_m, possible_m[1])
+        is_sure = expected.variance <= max(_CARRIED_SHARE * expected.length_m, _SURE_M) ** 2
+        found = find(near_m, LEAST_CORRELATION if is_sure else _LEAST_UNEXPECTED)
     if found is None:
         found = find(possible_m, _LEAST_UNEXPECTED)
     if found is None:
@@ -115,8 +121,9 @@ def _on_road(
     turn: tuple[Float, Float],
     pitch: CameraPitch,
     bend_per_m: float,
+    parallax_px: float,
     tried_m: tuple[float, float],
-    least_correlation: float = LEAST_CORRELATION,
+    least_correlation: float,
 ) -> RoadMotion | None:
     if frame.road is None:
         return None
@@ -128,7 +135,7 @@ def _on_road(
     view = road_view(frame.camera, frame.ego_T_camera, key_plane, keyframe.grey, keyframe.movable, bend_per_m)
     if view is None:
         return None
-    return road_motion(view, frame.grey, frame.movable, turn, tried_m, least_correlation)
+    return road_motion(view, frame.grey, frame.movable, turn, tried_m, least_correlation, parallax_px)
 
 
 def _is_assumed(frame: TrackingFrame) -> bool:

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry import camera_pitch
-from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays
+from roadperc_stream.chain.stages.odometry.epipolar import motion_from_rays, parallax_px
 from roadperc_stream.chain.stages.odometry.followed import MIN_INLIER_RATIO, Estimate, FollowedFrame
 from roadperc_stream.chain.stages.odometry.motion import Motion, motion_from_points, standing_motion
 from roadperc_stream.chain.stages.odometry.road_scale import Expected, scaled_by_road
@@ -43,7 +43,8 @@ def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None
     direction = camera_pitch.expansion(motion, frame.ego_T_camera, key_px, frame.camera.width)
     pitch = camera_pitch.updated(pitch, direction)
     if landmarks.source == "plane":
-        motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, *_expected_length(this, motion))
+        shift_px = parallax_px(frame.camera, key_px, px, motion)
+        motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, *_expected_length(this, motion), shift_px)
     elif not motion.scaled:
         motion = _in_units(this, motion)
     return Estimate(px, motion, this.pose(motion), pitch)

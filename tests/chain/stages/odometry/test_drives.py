@@ -130,6 +130,24 @@ def test_a_real_car_that_stops_stands_where_it_stopped(data_dir, tmp_path):
     assert standing["step_std_m"].null_count() == 0
 
 
+def test_a_real_car_with_its_bonnet_in_view_keeps_its_scale(data_dir, tmp_path):
+    """A dash cycle of 14.63 m takes 12.5 frames. The camera height in the calibration is a guess."""
+    steps = stopping_drive(data_dir / "highway_second", tmp_path)["step_m", "step_std_m"][1:]
+    known = steps.drop_nulls("step_m")
+    assert len(known) >= 0.8 * len(steps)
+    assert known["step_m"].median() == pytest.approx(14.63 / 12.5, rel=0.10)
+    off_m = (known["step_m"] - 14.63 / 12.5).abs()
+    assert (off_m > 3 * known["step_std_m"]).mean() <= 0.04
+
+
+def test_small_images_at_two_hertz_give_no_scale(data_dir, tmp_path):
+    source = data_dir / "carla_leaderboard" / "route_00"
+    assert convert.main([str(source), str(tmp_path / "in.mcap"), "--quiet"]) == 0
+    replay(tmp_path / "in.mcap", tmp_path / "out.mcap", config={"objects": {"enabled": False}})
+    table = pl.read_parquet(tmp_path / "out.metrics.parquet")
+    assert table["step_m"].is_not_null().mean() < 0.05
+
+
 @pytest.mark.accuracy
 @pytest.mark.parametrize(
     "options",

@@ -41,5 +41,6 @@ def test_a_contradicting_length_counts_only_if_it_confirms_the_last_ones(monkeyp
     ahead = Motion(rigid(np.eye(3), np.array([0.0, 0.0, -1.0])), np.ones(1, bool), np.zeros((1, 3)), None, scaled=True)
     motion, _ = scaled_by_road(frame, keyframe, ahead, CameraPitch(0.0, 0.0), KNOWN, (0.0, 2.0))
     assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(length_m)
-    assert motion.length_variance == pytest.approx(std_m**2, rel=0.2)
+    height_std_m = road_scale._HEIGHT_SHARE * length_m if scale == "points" else 0.0
+    assert motion.length_variance == pytest.approx(std_m**2 + height_std_m**2, rel=0.1)
     assert motion.scale == scale
