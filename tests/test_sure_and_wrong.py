@@ -46,13 +46,13 @@ def test_an_object_nearer_than_the_visible_road_is_measured_by_stereo(tmp_path):
     assert error_m.median() < 0.3
 
 
-@pytest.mark.parametrize("tag_noise", [0.05, 0.1])
+@pytest.mark.parametrize("tag_noise", [0.1, 0.2])
 def test_a_distance_is_not_that_of_another_object_in_the_box(tmp_path, tag_noise):
     options = ("--seconds", "3", "--seed", "701", "--without", "right", "--depth-noise", "0.02")
     _, objects = replayed(tmp_path, *options, "--tag-noise", str(tag_noise))
     known = objects.select(off_m=(pl.col("distance_m") - pl.col("true_distance_m")).abs(), std_m="distance_std_m")
     known = known.drop_nulls()
-    assert known.height > 250
+    assert known.height > 200
     assert (known["off_m"] > 10 * known["std_m"]).mean() <= 0.002
     assert (known["off_m"] > 3 * known["std_m"]).mean() <= 0.02
     assert known["std_m"].median() < 0.25
