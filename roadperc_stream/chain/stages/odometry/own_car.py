@@ -32,7 +32,12 @@ _GAIN: Final = 0.2
 
 
 def likeness(before: Image, after: Image, known: tuple[float, ...]) -> tuple[float, ...]:
-    """Mean correlation of each band of two (H, W) images pixel by pixel, from the top; as known if nothing moves."""
+    """Mean correlation of each band of two (H, W) images pixel by pixel, from the top; as known if nothing moves.
+
+    Images with fewer rows than bands show nothing.
+    """
+    if len(before) < 2 * _BANDS:
+        return known
     one, other = (_bands(grey) for grey in (before, after))
     alike = [_correlation(a, b) for a, b in zip(one, other, strict=True)]
     if min(alike) >= _MOVES:

@@ -36,3 +36,9 @@ def test_the_rows_of_the_own_car_are_movable(movable):
     assert marked[BONNET:].all()
     assert not marked[:BONNET].any()
     assert without_own_car(movable, ROWS, (ROWS, COLUMNS)) is movable
+
+
+def test_images_of_a_few_rows_show_no_own_car():
+    grey = np.zeros((11, 15), np.uint8)
+    assert likeness(grey, grey, ()) == ()
+    assert first_row((), 11) == 11
