@@ -129,13 +129,14 @@ class _Noise:
 class Curve:
     """offset (m), heading (rad) and curvature (1/m) at ego x = 0, with (3, 3) covariance.
 
-    ``drawn`` (3,) is by how much a change of the curvature along the boundary, 1 per square metre, changes ``state``.
+    ``per_slope`` (3,) is the derivative of the fitted ``state`` by the slope of the curvature (1/m²), which the fit
+    does not estimate.
     """
 
     state: Float
     covariance: Float
     reach_m: float
-    drawn: Float = field(default_factory=lambda: np.zeros(3))
+    per_slope: Float = field(default_factory=lambda: np.zeros(3))
     noise_px: float = 0.0
     """Standard deviation of the edges from the curve, pixels."""
 
@@ -229,14 +230,14 @@ def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: flo
     if fit is None:
         return None
     on_it = np.abs(edges.y - lateral(np.array(fit.state), edges.x)) < points.inside
-    covariance, drawn = _covariance(fit, noise, edges.x[on_it & (edges.x <= fit.reached)])
-    return Curve(np.array(fit.state), covariance, fit.reached, drawn, noise.edge_px)
+    covariance, per_slope = _covariance_and_slope_effect(fit, noise, edges.x[on_it & (edges.x <= fit.reached)])
+    return Curve(np.array(fit.state), covariance, fit.reached, per_slope, noise.edge_px)
 
 
-def _covariance(fit: Quadratic, noise: _Noise, x: Float) -> tuple[Float, Float]:
+def _covariance_and_slope_effect(fit: Quadratic, noise: _Noise, x: Float) -> tuple[Float, Float]:
     """(3, 3) covariance of offset, heading and curvature, from the residuals and the information of edges at (N,) x.
 
-    Then ``Curve.drawn``, which is the fit of a quadratic to the same edges on x^3 / 6.
+    Then ``Curve.per_slope``, which is the fit of a quadratic to the same edges on x^3 / 6.
     """
     i00, i01, i02, i11, i12, i22 = fit.information
     scale = max(fit.spread, _LEAST_SPREAD) * noise.blob_variance
@@ -244,6 +245,7 @@ def _covariance(fit: Quadratic, noise: _Noise, x: Float) -> tuple[Float, Float]:
     # Small residuals do not make the prior of the curvature sharper.
     known[2, 2] += _CURVATURE_INFORMATION / max(scale, 1.0)
     covariance = np.asarray(np.linalg.inv(known), np.float64)
+    # `follow` has sums up to x⁴; x⁵ comes from its ratio to x⁴ over the edges on the curve.
     of_x4 = x**4 / noise.std_m(x) ** 2
     x3, x4 = 2 * i12, 4 * i22
     x5 = x4 * float(of_x4 @ x) / float(of_x4.sum())

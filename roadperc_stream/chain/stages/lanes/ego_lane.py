@@ -224,14 +224,14 @@ def _followed(
         }
 
     before = predicted({"left": state.left, "right": state.right})
-    expected = predicted({"left": state.left_known, "right": state.right_known}) if moved is not None else {}
+    expected = predicted({"left": state.left_certain, "right": state.right_certain}) if moved is not None else {}
     found = {
         side: followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns)
         for side in SIDES
     }
-    now, known = following.continued(cfg, before, found, expected, stamp_ns)
+    now, certain = following.without_other_lines(cfg, before, found, expected, stamp_ns)
     left, right = now["left"], now["right"]
-    return replace(state, left=left, right=right, left_known=known.get("left"), right_known=known.get("right"))
+    return replace(state, left=left, right=right, left_certain=certain.get("left"), right_certain=certain.get("right"))
 
 
 def _observed(

@@ -35,14 +35,14 @@ _MOVED_RATE_STD_MPS = 0.3
 _CURVATURE_WALK_ROOT_M = 0.0008
 """Per metre and root metre driven: how fast roads change their curvature."""
 _SLOPE_STD_PER_M2 = 1e-4
+"""Standard deviation of the slope of the curvature ahead. A fit without it errs to the same side in every frame."""
 _SLOPE_LENGTH_M = 15.0
 _SLOPE_S = 1.0
-"""The slope of the curvature along the road ahead: its standard deviation, and after what way or time it is another
-one. It draws all measurements to the same side, but says nothing about the road at the car."""
+"""Metres driven, or seconds without odometry, in which the slope's correlation falls to 1/e."""
 _BLIND_M = 4.0
 _BEND_M = 10.0
-"""The car does not see the road up to ``_BLIND_M`` ahead. A bend that it sees ahead may already have begun there: with
-a change of the curvature that is the slope's change on ``_BEND_M``."""
+"""The first metres ahead are not visible. If the road bends beyond them, the curvature there may already have changed
+by the slope times ``_BEND_M``."""
 _Y_AXIS_STEPS = 3
 """Fixed-point steps for the boundary's intersection with a turned y axis; each reduces the error by heading * turn."""
 _CONTRADICTS = 7.81
@@ -75,7 +75,10 @@ class ClassHistory:
 
 @dataclass(frozen=True)
 class BoundaryTrack:
-    """(5,) offset m, its rate m/s, heading rad, curvature 1/m, its slope ahead 1/m2; (5, 5) covariance; two stamps."""
+    """Mean (5,): offset m, its rate m/s, heading rad, curvature 1/m, slope of the curvature 1/m². Covariance (5, 5).
+
+    ``stamp_ns`` is that of the state, ``measured_ns`` that of the last measurement.
+    """
 
     mean: Float
     covariance: Float
@@ -103,7 +106,10 @@ class BoundaryTrack:
 
     @property
     def reported_covariance(self) -> Float:
-        """``state_covariance``, larger where a bend begins: measurements there have the same error in many frames."""
+        """``state_covariance``, enlarged by a bend that may have begun in the part not seen.
+
+        Only the part of the slope beyond its own deviation counts.
+        """
         slope_variance = max(float(self.mean[_SLOPE] ** 2 - self.covariance[_SLOPE, _SLOPE]), 0.0)
         return self.state_covariance + slope_variance * _BEND_M**2 / _BLIND_M * _curvature_walk(_BLIND_M, -1.0)
 
@@ -133,13 +139,13 @@ class TrackedBoundary:
 class LanesState:
     """Both boundaries, the current lane change, and the number of lane changes.
 
-    ``left_known`` and ``right_known`` are the boundaries as they were last measured for sure, and then moved.
+    ``left_certain`` and ``right_certain`` are the last certain boundaries, moved to the last frame.
     """
 
     left: TrackedBoundary | None = None
     right: TrackedBoundary | None = None
-    left_known: TrackedBoundary | None = None
-    right_known: TrackedBoundary | None = None
+    left_certain: TrackedBoundary | None = None
+    right_certain: TrackedBoundary | None = None
     lane_change: LaneChange = "none"
     lane_changes: int = 0
 
@@ -159,8 +165,9 @@ def start(curve: Curve, stamp_ns: int) -> BoundaryTrack:
     P = np.zeros((5, 5))
     P[_RATE, _RATE] = _FIRST_RATE_STD_MPS**2
     P[_SLOPE, _SLOPE] = _SLOPE_STD_PER_M2**2
-    P[_MEASURED, _SLOPE] = P[_SLOPE, _MEASURED] = -curve.drawn * _SLOPE_STD_PER_M2**2
-    P[np.ix_(_MEASURED, _MEASURED)] = curve.covariance + np.outer(curve.drawn, curve.drawn) * _SLOPE_STD_PER_M2**2
+    P[_MEASURED, _SLOPE] = P[_SLOPE, _MEASURED] = -curve.per_slope * _SLOPE_STD_PER_M2**2
+    by_slope = np.outer(curve.per_slope, curve.per_slope) * _SLOPE_STD_PER_M2**2
+    P[np.ix_(_MEASURED, _MEASURED)] = curve.covariance + by_slope
     return BoundaryTrack(mean, P, stamp_ns, stamp_ns)
 
 
@@ -252,7 +259,7 @@ def update(cfg: LanesConfig, track: BoundaryTrack, curve: Curve) -> BoundaryTrac
     Calculation of Errors by the Method of Least Squares", Physical Review 40, 1932).
     """
     H = _H.copy()
-    H[:, _SLOPE] = curve.drawn
+    H[:, _SLOPE] = curve.per_slope
     innovation = curve.state - H @ track.mean
     S = H @ track.covariance @ H.T + curve.covariance
     distance = float(innovation @ np.linalg.solve(S, innovation))

@@ -15,6 +15,7 @@ import numpy as np
 from roadperc_stream.chain.stages.objects.mosaic import corners
 from roadperc_stream.chain.stages.objects.object_track import Extent
 from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
+from roadperc_stream.chain.stages.objects.regions import MOST_STD_SHARE
 from roadperc_stream.geometry import Camera, Float, rays
 from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.model import Box, Detection, Object, Surface
@@ -24,10 +25,8 @@ from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 EDGE_STD_PX: Final = 1.0
 EDGE_STD_SHARE: Final = 0.03
 """Standard deviation of a box's edge: this share of the box's side, at least one pixel."""
-MOST_STD_SHARE: Final = 0.3
-"""A distance with a larger standard deviation, as a share, is left out: the lower edge is near the horizon."""
-BORDER_PX: Final = 1.5
-"""A box this near to the image's border counts as cut by it."""
+_BORDER_PX: Final = 1.5
+"""A box this near to the image's left or right border counts as cut by it."""
 _BORDER_SIGMAS: Final = 2.0
 """The same for the lower border, in deviations of the box's edge."""
 _SEEN: Final = 0.3
@@ -113,9 +112,9 @@ def _inside(camera: Camera, box: Box) -> bool:
 
     The box of the car's own bonnet may end a little above the lower border.
     """
-    above_px = max(_BORDER_SIGMAS * edge_std_px(box.y_max - box.y_min), BORDER_PX)
-    right, bottom = camera.width - BORDER_PX, camera.height - above_px
-    return box.x_min >= BORDER_PX and box.x_max <= right and box.y_max <= bottom and box.area > 0
+    above_px = _BORDER_SIGMAS * edge_std_px(box.y_max - box.y_min)
+    right, bottom = camera.width - _BORDER_PX, camera.height - above_px
+    return box.x_min >= _BORDER_PX and box.x_max <= right and box.y_max <= bottom and box.area > 0
 
 
 def _hidden(box: Box, kept: Float) -> bool:

@@ -23,6 +23,7 @@ _FIRST_SPEED_STD_MPS = 20.0
 _FIRST_DRIFT_STD_MPS = 3.0
 """Standard deviation of an unknown speed across the path."""
 _UNKNOWN_PLACE_STD_M = 100.0
+"""Standard deviation of an unknown place beside the path: so large that the next measurement replaces the place."""
 _CURVATURE_STD_PER_M = 0.003
 """Standard deviation of the difference between two paths' curvatures, 1/m: far ahead their directions differ."""
 _LATERAL_NOISE = 1.0
@@ -66,9 +67,8 @@ class ObjectTrack:
     beyond the gate since ``rival_ns``. ``right_m`` and ``left_m`` are the filters of its edges, metres to the left of
     the path's middle. ``ego_rate`` is the part of the distance's rate that the car's own motion causes, None if
     unknown. ``nearest_ray`` is the direction of its nearest pixels, ``jitter`` the jitter of its distances. ``growth``
-    is the growth of its box in frames without depth, and
-    ``ground_share`` the standard deviation that its ground distances share, as a share; None with depth. ``place`` is
-    its place on the ground, None without depth or odometry.
+    is the growth of its box in frames without depth, and ``ground_share`` the standard deviation that its ground
+    distances share, as a share; None with depth. ``place`` is its place on the ground, None without depth or odometry.
     """
 
     number: int
@@ -219,7 +219,10 @@ def placed(track: ObjectTrack, extent: Extent | None, template: Template | None)
 
 
 def beside_another_path(track: ObjectTrack) -> ObjectTrack:
-    """The predicted track beside another path: its places are unknown, its speeds across differ far ahead."""
+    """The predicted track after a change of path: its lateral places are unknown.
+
+    Its lateral speeds keep their values, with a deviation that grows with distance and closing speed.
+    """
     distance = track.distance_m
     std_mps = _FIRST_DRIFT_STD_MPS if distance is None else _CURVATURE_STD_PER_M * abs(distance.value * distance.rate)
     right_m, left_m = (m and _beside_another_path(m, std_mps) for m in (track.right_m, track.left_m))

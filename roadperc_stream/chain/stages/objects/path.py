@@ -58,7 +58,8 @@ _CROSSING_MPS = 2.0
 """Speed across the path above which a vehicle crosses it instead of changing lanes."""
 _SURE_SIGMAS = 2.0
 _STEERING_MPS3 = 0.11
-"""Standard deviation of the lateral jerk by steering; the path is a circle."""
+"""Standard deviation of the lateral jerk by steering, m/s³: the path is a circle, so it does not contain the steering
+until the car arrives."""
 
 
 @dataclass(frozen=True)
@@ -268,8 +269,8 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
 
     An oncoming car in a bend is briefly in the path, but crosses it at several metres per second; lane changes are
     slower. A standing car far ahead may be beside the path where the road begins to bend. A pedestrian or a car that
-    crosses the road may stop at any time. While the path has just changed, the
-    speed across it is unknown, but a car that drives ahead does not cross it.
+    crosses the road may stop at any time. While the path has just changed, the speed across it is unknown, but a car
+    that drives ahead does not cross it.
     """
     if classes_of_label(label) == ("pedestrian",) or _crosses_road(track):
         return True
@@ -284,7 +285,10 @@ def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: flo
 
 
 def _path_std_m(track: ObjectTrack) -> float:
-    """Standard deviation of the path at an object, for unknown steering until the car is there; 0 if it stands."""
+    """Standard deviation of the path at an object, because the driver may steer until the car is there, metres.
+
+    It is 0 if the car stands, and without depth or odometry.
+    """
     distance, ego_rate = track.distance_m, track.ego_rate
     if distance is None or ego_rate is None or ego_rate.end_mps >= 0:
         return 0.0

@@ -97,7 +97,7 @@ def measured_by_points(
         weights = fits**_ALIKE * usual_heights(detection.label, heights_m)
         best = int(np.argmax(weights))
         if weights[best] > 0:
-            return _with_doubt(cfg, sorted_m[first[best] : last[best]], weights, sorted_m[first])
+            return _of_cluster(cfg, sorted_m[first[best] : last[best]], weights, sorted_m[first])
     measured = nearest(cfg, of_box(camera, depth_m, box, limit_m).ravel())
     if measured.distance_m is None:
         return measured
@@ -142,17 +142,20 @@ def measured_of_class(cfg: ObjectsConfig, frame: Frame, detection: Detection, lo
     kind = classes_of_label(detection.label) or ()
     usual_m = _USUAL_M[kind][0] / height_per_m if kind in _USUAL_M else (1 + _UNSURE) * measured.distance_m
     apart_m = np.append(sorted_m[first], usual_m) - measured.distance_m
-    shares_of_all = likely(np.append(weights, _EMPTY / counts[best]))
+    others_m = std_by_others_m(np.append(weights, _EMPTY / counts[best]), apart_m)
     part_m = _PART_M.get(kind, max(_PART_M.values())) / sqrt(counts[best])
-    return Measured(measured.distance_m, hypot(measured.std_m, sqrt(float(shares_of_all @ apart_m**2)), part_m))
+    return Measured(measured.distance_m, hypot(measured.std_m, others_m, part_m))
 
 
-def likely(weights: Float) -> Float:
-    """(K,) probabilities of hypotheses by their weights; 0 for the least probable ones, ``RARE`` together."""
+def std_by_others_m(weights: Float, apart_m: Float) -> float:
+    """Standard deviation of a distance due to (K,) hypotheses that are ``apart_m`` from it, by their weights, metres.
+
+    The least probable ones, ``RARE`` together, do not count.
+    """
     shares: Float = weights / weights.sum()
     order = np.argsort(shares, kind="stable")
     shares[order[np.cumsum(shares[order]) < RARE]] = 0.0
-    return shares
+    return sqrt(float(shares @ apart_m**2))
 
 
 def _own_shares(box: Box, others: Float, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> Float:
@@ -201,7 +204,7 @@ def usual_heights(label: str, heights_m: Float, *, hidden: bool = False) -> Floa
     return usual
 
 
-def _with_doubt(cfg: ObjectsConfig, own_m: Float, weights: Float, first_m: Float) -> Measured:
+def _of_cluster(cfg: ObjectsConfig, own_m: Float, weights: Float, first_m: Float) -> Measured:
     """The distance of a cluster's sorted distances, with a deviation for the other clusters and its first points.
 
     Its first points may be ground before the object. ``weights`` are those of all clusters, ``first_m`` their first

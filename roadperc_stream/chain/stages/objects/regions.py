@@ -45,6 +45,8 @@ NOISE_LEFT = 1 / 3
 """Standard deviation of a distance, as a share of its pixels' noise: a mean of 3x3 independent pixels."""
 SMOOTHING_STD = 0.002
 """Standard deviation without noise, as a share of the distance: smoothing moves edges."""
+MOST_STD_SHARE = 0.3
+"""Largest standard deviation, as a share, of a distance by ground contact, and due to other regions of a box."""
 _JOINED_M = 1.5
 """A region whose middle pixel is farther behind its distance may join two cars of a row."""
 _ROWS_FROM_M = 40.0

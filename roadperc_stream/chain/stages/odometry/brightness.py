@@ -9,7 +9,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from roadperc_stream.geometry import Float
+from roadperc_stream.geometry import Float, Float32
 from roadperc_stream.model import Image
 
 _SHARES: Final = np.linspace(0.05, 0.95, 19)
@@ -34,6 +34,12 @@ def shows_nothing(grey: Image) -> bool:
     """Whether a (H, W) image is black, white or nearly uniform: its grey levels are within a narrow range."""
     levels = np.flatnonzero(_shares(grey) > _LEAST_SHARE)
     return bool(np.ptp(levels) < _LEAST_RANGE)
+
+
+def high_pass(grey: Image, side_px: int) -> Float32:
+    """(H, W) an image minus its local mean in squares of this odd side: without slow changes of brightness."""
+    levels = grey.astype(np.float32)
+    return np.asarray(levels - cv2.blur(levels, (side_px, side_px)), np.float32)
 
 
 def equalised(before: Image, after: Image) -> tuple[Image, Image]:

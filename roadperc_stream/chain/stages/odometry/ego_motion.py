@@ -58,7 +58,7 @@ def step(
     cv2.setRNGSeed(int(rng.integers(2**31)))
     state, tracked = _without_own_car(state, tracking_frame(cfg, frame, frame.grey, road))
     after, out = _followed(cfg, state, tracked)
-    return replace(after, likeness=state.likeness), out
+    return replace(after, band_correlations=state.band_correlations), out
 
 
 def _followed(cfg: OdometryConfig, state: OdometryState, tracked: TrackingFrame) -> tuple[OdometryState, Odometry]:
@@ -90,15 +90,18 @@ def _without_image(state: OdometryState, frame: Frame) -> Odometry | Absent:
 
 
 def _without_own_car(state: OdometryState, frame: TrackingFrame) -> tuple[OdometryState, TrackingFrame]:
-    """The state and the frame in which the own car counts as movable; with depth they stay as they are."""
+    """The state and the frame in which the own car counts as movable.
+
+    With depth, or without a keyframe of this camera, nothing is marked.
+    """
     keyframe, shape = state.keyframe, frame.grey.shape
     if keyframe is None or keyframe.camera != frame.camera or frame.depth_m is not None:
-        return replace(state, likeness=()), frame
-    likeness = own_car.likeness(keyframe.grey, frame.grey, state.likeness)
-    first = own_car.first_row(likeness, shape[0])
+        return replace(state, band_correlations=()), frame
+    correlations = own_car.band_correlations(keyframe.grey, frame.grey, state.band_correlations)
+    first = own_car.first_row(correlations, shape[0])
     keyframe = replace(keyframe, movable=own_car.without_own_car(keyframe.movable, first, shape))
     frame = replace(frame, movable=own_car.without_own_car(frame.movable, first, shape))
-    return replace(state, keyframe=keyframe, likeness=likeness), frame
+    return replace(state, keyframe=keyframe, band_correlations=correlations), frame
 
 
 def _equalised(this: FollowedFrame) -> FollowedFrame:

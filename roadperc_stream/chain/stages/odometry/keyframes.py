@@ -123,14 +123,14 @@ class LastFrame:
 
 @dataclass(frozen=True)
 class OdometryState:
-    """The state of odometry between frames; ``likeness`` is that of ``own_car``, empty if unknown."""
+    """The state of odometry between frames; ``band_correlations`` are those of ``own_car``."""
 
     odom_T_ego: Float = field(default_factory=lambda: np.eye(4))
     keyframe: Keyframe | None = None
     last: LastFrame | None = None
     pitch: CameraPitch | None = None
     speed: KnownSpeed | None = None
-    likeness: tuple[float, ...] = ()
+    band_correlations: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")

@@ -1,16 +1,16 @@
 """The own car in the lower image: rows that stay the same while the road moves.
 
-A bonnet does not move in the image. As a part of the road it shows a short step, and its features a camera that stands
-still. The road's image moves the more, the lower its row. A row that is alike in both images below one that is not
-shows the own car.
+A bonnet does not move in the image. If it counts as road, steps are too short; by its features, the camera seems to
+stand. The lower a row of the image, the more its road moves. So a row that correlates in both images, below one that
+does not, shows the own car.
 """
 
 from itertools import pairwise
 from typing import Final
 
-import cv2
 import numpy as np
 
+from roadperc_stream.chain.stages.odometry.brightness import high_pass
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Image
@@ -28,33 +28,33 @@ _STAYS: Final = 0.3
 _MARGIN_PX: Final = 26.0
 """Rows above the own car, at 960 rows, whose local mean of grey levels contains it."""
 _GAIN: Final = 0.2
-"""Weight of a pair of images in the mean correlation."""
+"""Weight of the latest pair of images in the mean correlation."""
 
 
-def likeness(before: Image, after: Image, known: tuple[float, ...]) -> tuple[float, ...]:
-    """Mean correlation of each band of two (H, W) images pixel by pixel, from the top; as known if nothing moves.
+def band_correlations(before: Image, after: Image, means: tuple[float, ...]) -> tuple[float, ...]:
+    """Mean correlation of each band, from the top, after another pair of (H, W) images.
 
-    Images with fewer rows than bands show nothing.
+    ``means`` are those of the earlier pairs, empty before the first one. They stay as they are if nothing moves,
+    and in images with fewer rows than bands.
     """
     if len(before) < 2 * _BANDS:
-        return known
-    one, other = (_bands(grey) for grey in (before, after))
-    alike = [_correlation(a, b) for a, b in zip(one, other, strict=True)]
-    if min(alike) >= _MOVES:
-        return known
-    return tuple(m + _GAIN * (a - m) for m, a in zip(known or alike, alike, strict=True))
+        return means
+    latest = [_correlation(one, other) for one, other in zip(_bands(before), _bands(after), strict=True)]
+    if min(latest) >= _MOVES:
+        return means
+    return tuple(mean + _GAIN * (new - mean) for mean, new in zip(means or latest, latest, strict=True))
 
 
-def first_row(alike: tuple[float, ...], rows: int) -> int:
-    """The highest of an image's rows that shows the own car or its edge; their number without one."""
-    moving = [band for band, at in enumerate(alike) if at < _MOVES]
+def first_row(correlations: tuple[float, ...], rows: int) -> int:
+    """The highest of an image's rows that shows the own car or its edge; ``rows`` if the own car is not visible."""
+    moving = [band for band, correlation in enumerate(correlations) if correlation < _MOVES]
     first = moving[-1] + 1 if moving else 0
-    stays = first > 0 and max(alike[first:], default=0.0) > _STAYS
+    stays = first > 0 and max(correlations[first:], default=0.0) > _STAYS
     return _edges(rows)[first] - round(scaled(_MARGIN_PX, rows)) if stays else rows
 
 
 def without_own_car(movable: Image | None, first: int, shape: tuple[int, ...]) -> Image | None:
-    """(H, W) nonzero on movable objects, and from the own car's first row downwards; None if nothing is known."""
+    """(H, W) nonzero on movable objects, and from the own car's first row downwards; None if neither is known."""
     if first >= shape[0]:
         return movable
     marked = np.zeros(shape, np.uint8) if movable is None else movable.copy()
@@ -63,7 +63,7 @@ def without_own_car(movable: Image | None, first: int, shape: tuple[int, ...]) -
 
 
 def _correlation(a: Float32, b: Float32) -> float:
-    """Correlation of flat levels; 1 where nothing is seen in both images."""
+    """Correlation of the levels of a band in two images; 1 if both are uniform, 0 if one is."""
     power = float(np.sqrt((a @ a) * (b @ b)))
     return float(a @ b) / power if power > 0 else float(not (a.any() or b.any()))
 
@@ -73,10 +73,9 @@ def _edges(rows: int) -> list[int]:
 
 
 def _bands(grey: Image) -> list[Float32]:
-    """Flat grey levels of the bands without slow changes of brightness, clipped."""
+    """(N,) grey levels of each band without slow changes of brightness, clipped."""
     edges, side = _edges(len(grey)), max(round(scaled(_BLUR_PX, len(grey))), 2) | 1
-    levels = grey[edges[0] :].astype(np.float32)
-    levels -= cv2.blur(levels, (side, side))
+    levels = high_pass(grey[edges[0] :], side)
     bands = [levels[a - edges[0] : b - edges[0]].ravel() for a, b in pairwise(edges)]
     limits = [_CLIPPED * float(np.median(np.abs(band))) for band in bands]
     return [np.clip(band, -limit, limit) for band, limit in zip(bands, limits, strict=True)]

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadperc_stream.chain.stages.odometry.brightness import high_pass
 from roadperc_stream.chain.stages.odometry.epipolar import MIN_PARALLAX_PX
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, project, rays, transform
@@ -33,7 +34,8 @@ _CLIPPED: Final = 8.0
 """Multiple of the median of the grey levels' sizes at which they are clipped: the shadow of a car ahead moves with that
 car. A smaller one hides the dashes of a smooth road, which give the length."""
 _STRIP_M: Final = 0.1
-"""Width of the strips along the path whose mean is removed: a line along the path fits every length."""
+"""Width of the strips along the path. The mean of each piece is removed, because a line along the path fits every
+length."""
 _LEAST_AGREEING: Final = 0.5
 """Minimum share of the road's texture in blocks that correlate."""
 _BLUR_PX: Final = 51.0
@@ -42,8 +44,10 @@ _LEAST_PIXELS: Final = 1000
 _MOST_PIXELS: Final = 16384
 _ROAD_PART: Final = 2.0
 """Ratio of the image below the horizon to its road; larger images are subsampled."""
-LEAST_CORRELATION: Final = 0.5
+_LEAST_CORRELATION: Final = 0.5
 """Least correlation of both images of the road, and of a part of it that agrees."""
+_LEAST_UNEXPECTED: Final = 0.7
+"""Least correlation where the length is not expected: among all lengths, a wrong one fits by chance."""
 _GRAIN_PX: Final = 16.0
 """Pixels that err together, from the deviations of lengths and pitches on real logs."""
 _TRIED_PX: Final = 0.7
@@ -51,9 +55,10 @@ _TRIED_PX: Final = 0.7
 _MOST_TRIED: Final = 200
 _NEARER: Final = 0.5
 """Least shift of the road's image as a share of the features' median one; in real and rendered drives it is 0.9."""
-_APART: Final = 0.2
-_AS_GOOD: Final = 0.94
-"""Relative difference of another length, and share of the best correlation from which it cannot be excluded."""
+_OTHER_LENGTH_SHARE: Final = 0.2
+"""Least difference of another length from the best one, as a share of the best one."""
+_AS_GOOD_SHARE: Final = 0.94
+"""Correlation of another length, as a share of the best one, from which it cannot be excluded."""
 _SEEN_PX: Final = 0.65
 """Least parallax for a length that is not expected: with less, the motion's direction is the tracks' noise."""
 _SMALL_PX: Final = 0.25
@@ -65,8 +70,9 @@ _SMALL_PITCH: Final = 0.002
 class RoadView:
     """The road in the keyframe: (M, 3) rays and (M,) grey levels of its pixels, and how many share one error.
 
-    ``camera`` has both images, ``plane`` is the road in the keyframe's camera. ``block`` and ``strip`` (M,) number the
-    parts of the road, and its strips along the car's path. Grey levels are clipped to ``limit``.
+    ``camera`` has both images, ``plane`` is the road in the keyframe's camera. ``block`` and ``piece`` (M,) number the
+    parts of the road, and the pieces of its strips along the car's path, cut at ``_BLOCK_ENDS_M``. Grey levels are
+    clipped to ``limit``.
     """
 
     camera: Camera
@@ -75,7 +81,7 @@ class RoadView:
     levels: Float32
     alike: float
     block: NDArray[np.intp]
-    strip: NDArray[np.intp]
+    piece: NDArray[np.intp]
     limit: float
 
 
@@ -92,13 +98,6 @@ class RoadMotion:
     metres_per_pitch: float
     pitch: float
     pitch_variance: float
-
-
-def high_pass(grey: Image) -> Float32:
-    """(H, W) an image without its slow changes of brightness."""
-    levels = grey.astype(np.float32)
-    side = round(scaled(_BLUR_PX, grey.shape[0])) | 1
-    return np.asarray(levels - cv2.blur(levels, (side, side)), np.float32)
 
 
 def road_view(
@@ -129,14 +128,14 @@ def road_view(
     if len(chosen) < _LEAST_PIXELS:
         return None
     along = np.searchsorted(_BLOCK_ENDS_M, ahead[chosen, 0])
-    strip = ((aside_m[chosen] + _HALF_WIDTH_M) / _STRIP_M).astype(int) * (len(_BLOCK_ENDS_M) + 1) + along
-    levels = high_pass(key_grey)[rows[chosen], columns[chosen]]
+    piece = ((aside_m[chosen] + _HALF_WIDTH_M) / _STRIP_M).astype(int) * (len(_BLOCK_ENDS_M) + 1) + along
+    levels = _high_pass(key_grey)[rows[chosen], columns[chosen]]
     limit = _CLIPPED * float(np.median(np.abs(levels)))
     levels = np.clip(levels, -limit, limit)
     across = np.floor((aside_m[chosen] / _HALF_WIDTH_M + 1) / 2 * _BLOCKS_ACROSS).astype(int)
     block = along * _BLOCKS_ACROSS + np.clip(across, 0, _BLOCKS_ACROSS - 1)
     return RoadView(
-        camera, plane, rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0), block, strip, limit
+        camera, plane, rays(camera, px[chosen]), levels, max(_GRAIN_PX / apart**2, 1.0), block, piece, limit
     )
 
 
@@ -146,8 +145,9 @@ def road_motion(
     movable: Image | None,
     key_T_this_turn: tuple[Float, Float],
     tried_m: tuple[float, float],
-    least_correlation: float = LEAST_CORRELATION,
-    parallax_px: float = 0.0,
+    *,
+    is_expected: bool,
+    parallax_px: float,
 ) -> RoadMotion | None:
     """The length of a motion by the road's image.
 
@@ -157,13 +157,14 @@ def road_motion(
         movable: (H, W) not 0 on movable objects in this image, or None.
         key_T_this_turn: the (3, 3) rotation R and the (3,) unit direction t with X_this = R X_key + length t.
         tried_m: shortest and longest length.
-        least_correlation: of the best length; above the default no other length may fit as well.
+        is_expected: whether the tried lengths are near a well-known one. Otherwise the features must move, the
+            correlation must be larger, and no other length may fit as well.
         parallax_px: median shift of the features beyond that of the rotation; the near road moves farther.
 
     Returns:
         The length; None if the road has too little texture or no length fits clearly.
     """
-    picture = _Picture(view, np.clip(high_pass(grey), -view.limit, view.limit), movable, *key_T_this_turn)
+    picture = _Picture(view, np.clip(_high_pass(grey), -view.limit, view.limit), movable, *key_T_this_turn)
     shift_px = picture.shift_px_per_m
     if not 0 < shift_px < np.inf:  # a wrong motion turns the road out of sight
         return None
@@ -174,12 +175,12 @@ def road_motion(
         return None
     lengths = step_m * np.arange(np.floor(shortest_m / step_m), tried_m[1] / step_m + 1.0)
     fits = np.array([picture.correlation(length) for length in lengths])
-    best = int(np.argmax(fits))
-    if not 0 < best < len(lengths) - 1 or fits[best] < least_correlation:
+    best, least = int(np.argmax(fits)), _LEAST_CORRELATION if is_expected else _LEAST_UNEXPECTED
+    if not 0 < best < len(lengths) - 1 or fits[best] < least:
         return None
-    others = fits[np.abs(lengths - lengths[best]) > _APART * lengths[best]]
-    is_clear = parallax_px > _SEEN_PX and others.max(initial=0.0) < _AS_GOOD * fits[best]
-    if least_correlation > LEAST_CORRELATION and not is_clear:
+    others = fits[np.abs(lengths - lengths[best]) > _OTHER_LENGTH_SHARE * lengths[best]]
+    is_clear = parallax_px > _SEEN_PX and others.max(initial=0.0) < _AS_GOOD_SHARE * fits[best]
+    if not (is_expected or is_clear):
         return None
     before, at, after = fits[best - 1 : best + 2]
     bend = before - 2 * at + after
@@ -208,8 +209,8 @@ class _Picture:
         seen, visible = self.seen(length_m, 0.0)
         if int(np.sum(visible)) < _LEAST_PIXELS:
             return -1.0
-        strip = self.view.strip[visible]
-        return float(normalised(self.view.levels[visible], strip) @ normalised(seen[visible], strip))
+        piece = self.view.piece[visible]
+        return float(normalised(self.view.levels[visible], piece) @ normalised(seen[visible], piece))
 
     def seen(self, length_m: float, pitch: float) -> tuple[Float32, Mask]:
         """(M,) levels of this image at the road's pixels, and (M,) which of them are visible."""
@@ -230,6 +231,10 @@ class _Picture:
         return project(self.view.camera, self.view.rays @ homography.T)
 
 
+def _high_pass(grey: Image) -> Float32:
+    return high_pass(grey, round(scaled(_BLUR_PX, grey.shape[0])) | 1)
+
+
 def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion | None:
     """The motion at the best length for the assumed pitch, with the correction of the pitch."""
     at = picture.seen(length_m, 0.0)
@@ -238,14 +243,14 @@ def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion |
     visible = np.all([mask for _, mask in (at, *moved, *tilted)], axis=0)
     if int(np.sum(visible)) < _LEAST_PIXELS:
         return None
-    block, strip = picture.view.block[visible], picture.view.strip[visible]
-    key, now = (normalised(levels[visible], strip) for levels in (picture.view.levels, at[0]))
+    block, piece = picture.view.block[visible], picture.view.piece[visible]
+    key, now = (normalised(levels[visible], piece) for levels in (picture.view.levels, at[0]))
     if _agreeing(key, now, block) < _LEAST_AGREEING:
         return None
     residual = key - now
     J = np.stack(
         [
-            (normalised(after[visible], strip) - normalised(before[visible], strip)) / (2 * small)
+            (normalised(after[visible], piece) - normalised(before[visible], piece)) / (2 * small)
             for ((before, _), (after, _)), small in ((moved, small_m), (tilted, _SMALL_PITCH))
         ],
         axis=-1,
@@ -265,7 +270,7 @@ def _at_peak(picture: _Picture, length_m: float, small_m: float) -> RoadMotion |
 def _agreeing(key: Float, now: Float, block: NDArray[np.intp]) -> float:
     """Share of the texture of (M,) levels in blocks whose levels correlate in both images."""
     power, other, both = (np.bincount(block, product) for product in (key**2, now**2, key * now))
-    return float(power[both > LEAST_CORRELATION * np.sqrt(power * other)].sum() / power.sum())
+    return float(power[both > _LEAST_CORRELATION * np.sqrt(power * other)].sum() / power.sum())
 
 
 def _spread_factor(block: NDArray[np.intp]) -> float:
@@ -274,8 +279,8 @@ def _spread_factor(block: NDArray[np.intp]) -> float:
     return count / max(count - 1, 1)
 
 
-def normalised(levels: Float32, strip: NDArray[np.intp]) -> Float:
-    """(M,) with zero mean in each strip and unit length; zeros where all are equal."""
-    means = np.bincount(strip, levels) / np.maximum(np.bincount(strip), 1)
-    centred = levels - means[strip]
+def normalised(levels: Float32, piece: NDArray[np.intp]) -> Float:
+    """(M,) with zero mean in each piece of a strip, and unit length; zeros where all are equal."""
+    means = np.bincount(piece, levels) / np.maximum(np.bincount(piece), 1)
+    centred = levels - means[piece]
     return centred / max(float(np.linalg.norm(centred)), 1e-9)

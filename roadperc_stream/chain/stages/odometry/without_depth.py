@@ -43,8 +43,8 @@ def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None
     direction = camera_pitch.expansion(motion, frame.ego_T_camera, key_px, frame.camera.width)
     pitch = camera_pitch.updated(pitch, direction)
     if landmarks.source == "plane":
-        shift_px = parallax_px(frame.camera, key_px, px, motion)
-        motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, *_expected_length(this, motion), shift_px)
+        shift_px, expected = parallax_px(frame.camera, key_px, px, motion), _expected_length(this, motion)
+        motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, *expected, parallax_px=shift_px)
     elif not motion.scaled:
         motion = _in_units(this, motion)
     return Estimate(px, motion, this.pose(motion), pitch)

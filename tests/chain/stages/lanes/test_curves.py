@@ -96,7 +96,7 @@ def test_a_changing_curvature_draws_the_fit_as_told():
     cloud = points((1.7, 0.0, 0.0))
     cloud[:, 1] += slope_per_m2 * cloud[:, 0] ** 3 / 6
     curve = fit(cloud, (1.7, 0.0, 0.0))
-    np.testing.assert_allclose(curve.state - [1.7, 0.0, 0.0], curve.drawn * slope_per_m2, rtol=0.15)
+    np.testing.assert_allclose(curve.state - [1.7, 0.0, 0.0], curve.per_slope * slope_per_m2, rtol=0.15)
 
 
 @pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])

@@ -123,7 +123,7 @@ def road_between(first, second, tried_m=(0.0, 3.0), believed=0.0, grey=None):
     plane = g.transform_plane(g.inverse(EGO_T_CAMERA), tilted_ground(EGO_T_CAMERA, believed))
     view = road_view(CAMERA, EGO_T_CAMERA, plane, photograph(first, ego_T_camera=DOWN).grey)
     this = photograph(second, ego_T_camera=DOWN).grey if grey is None else grey
-    return road_motion(view, this, None, (this_T_key[:3, :3], t), tried_m)
+    return road_motion(view, this, None, (this_T_key[:3, :3], t), tried_m, is_expected=True, parallax_px=0.0)
 
 
 def test_the_roads_image_gives_length_and_pitch():

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from roadperc_stream.chain.stages.odometry.own_car import first_row, likeness, without_own_car
+from roadperc_stream.chain.stages.odometry.own_car import band_correlations, first_row, without_own_car
 
 ROWS, COLUMNS, BONNET = 240, 320, 204
 
@@ -19,15 +19,15 @@ def image(seed, shift_px, bonnet=True):
 
 
 def test_a_bonnet_is_found_while_the_road_moves():
-    alike = likeness(image(1, 0), image(2, 9), ())
-    assert BONNET - 16 < first_row(alike, ROWS) <= BONNET
-    assert first_row(likeness(image(1, 0, bonnet=False), image(2, 9, bonnet=False), ()), ROWS) == ROWS
+    correlations = band_correlations(image(1, 0), image(2, 9), ())
+    assert BONNET - 16 < first_row(correlations, ROWS) <= BONNET
+    assert first_row(band_correlations(image(1, 0, bonnet=False), image(2, 9, bonnet=False), ()), ROWS) == ROWS
 
 
 def test_a_standing_car_keeps_what_is_known():
-    assert first_row(likeness(image(1, 0), image(2, 0), ()), ROWS) == ROWS
-    alike = likeness(image(1, 0), image(2, 9), ())
-    assert likeness(image(3, 9), image(4, 9), alike) == alike
+    assert first_row(band_correlations(image(1, 0), image(2, 0), ()), ROWS) == ROWS
+    correlations = band_correlations(image(1, 0), image(2, 9), ())
+    assert band_correlations(image(3, 9), image(4, 9), correlations) == correlations
 
 
 @pytest.mark.parametrize("movable", [None, np.zeros((ROWS, COLUMNS), np.uint8)])
@@ -40,5 +40,5 @@ def test_the_rows_of_the_own_car_are_movable(movable):
 
 def test_images_of_a_few_rows_show_no_own_car():
     grey = np.zeros((11, 15), np.uint8)
-    assert likeness(grey, grey, ()) == ()
+    assert band_correlations(grey, grey, ()) == ()
     assert first_row((), 11) == 11
