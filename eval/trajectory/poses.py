@@ -24,7 +24,9 @@ ESTIMATED_COLUMNS: Final = tuple(f"odom_{name}" for name in _POSE)
 TRUE_COLUMNS: Final = tuple(f"true_{name}" for name in _POSE)
 
 _LARGEST: Final = 1e9
+"""Largest absolute number of a pose; a larger one is an error of the log."""
 _LEAST_NORM: Final = 1e-3
+"""Least norm of a pose's quaternion: near zero it has no direction."""
 
 PoseFormat = Literal["tum", "kitti"]
 

@@ -211,11 +211,13 @@ def _require_listener(address: str) -> None:
         host, port = parts.hostname, parts.port or (_CLIENT_PORT if parts.scheme == _CLIENT else None)
         if parts.scheme in {"", _CLIENT} and host and port:
             try:
-                with socket.create_connection((host, port), _ANSWER_WITHIN_S) as connection:
+                connection = socket.create_connection((host, port), _ANSWER_WITHIN_S)
+                with connection, connection.makefile("rb") as stream:  # recv may return fewer bytes
                     connection.sendall(_GREETING)
-                    answer = connection.recv(4)
+                    answer = stream.read(4)
             except OSError as error:
                 raise ClusterError(f"--ray {address}: no cluster at this address: {error}") from None
+            # A server with TLS answers a plain greeting with an alert, or not at all.
             if answer[3:4] != _SETTINGS and os.environ.get("RAY_USE_TLS") != "1":
                 raise ClusterError(f"--ray {address}: no cluster at this address: another program listens there")
             return

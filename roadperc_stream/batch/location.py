@@ -181,9 +181,9 @@ def _move(source: Path, target: Path) -> None:
 
 @contextmanager
 def _complete_or_absent(system: Any, path: str) -> Iterator[Any]:
-    """A new file of a store, removed after an error: its client completes a file that is closed.
+    """A new file of a store. After an error it is closed, which completes it, and removed.
 
-    After its own error, S3's client does not complete the file, and an earlier one stays.
+    If it cannot be closed, as after an error of S3's client, it is not completed, and an earlier file stays.
     """
     stream = system.open(path, "wb")
     try:

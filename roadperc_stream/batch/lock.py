@@ -72,20 +72,20 @@ def dataset_lock(out: Location) -> Iterator[None]:
 
 @contextmanager
 def _excluding_others(out: Location) -> Iterator[None]:
-    """Let batches enter the context one after the other. A store and some network file systems cannot do that."""
+    """Wait until no other batch is in the context. A store and some network file systems exclude no other batch."""
     if not out.is_local:
         yield
         return
     folder = Path(out.address)
     with target_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        number = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):
-            fcntl.flock(number, fcntl.LOCK_EX)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(number)
+        os.close(descriptor)
 
 
 def _require_ended(holder: LockHolder | None, file: Location) -> None:

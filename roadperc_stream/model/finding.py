@@ -45,7 +45,7 @@ class Evidence:
         rough_ratio: share of neighbouring pixels of the depth image whose depths differ by metres.
         road_known_ratio: share of the road's pixels with a depth, from camera or stereo.
         road_depth_ratio: median of their depth / the depth of the ground there.
-        pitch_deg: pitch beyond the mounting that motion or lanes show without depth, either way.
+        pitch_deg: angle between the road by motion or lanes, without depth, and that by the mounting.
     """
 
     mounting_m: float | None = None

@@ -23,9 +23,10 @@ _ROUGH: Final = 0.3
 """Share of rough neighbours; depth of scenes has a tenth at most, in the wrong byte order two thirds or more."""
 _WIDTHS_M: Final = (2.3, 4.8)
 _USUAL_LANE_M: Final = 3.5
-_FEWEST_WIDTHS: Final = 3
+_FEWEST_FRAMES: Final = 3
+"""Least number of frames that show a width or a pitch."""
 _STEEPEST_DEG: Final = 8.0
-"""Largest pitch of a camera whose mounting is said to be level; the horizon is still well inside the image."""
+"""Largest usual difference of pitch between mounting and road."""
 _HIGH_M: Final = 3.0
 """Camera height above which a rejected wide lane counts. Else a line is missing, and that of the next lane is seen."""
 _ROAD_FACTOR: Final = 10.0
@@ -64,8 +65,8 @@ class Contradictions:
         frames = self._frames.values
         rough = depth_rough([found.rough_ratio for _, found in frames if found.rough_ratio is not None])
         of_road = (camera_height(frames), road_depth(frames), lane_width(frames)) if rough is None else (rough,)
-        of_road = (*of_road, camera_pitch([found.pitch_deg for _, found in frames if found.pitch_deg is not None]))
-        return tuple(found for found in (*of_road, *self._poses.findings()) if found is not None)
+        pitch = camera_pitch([found.pitch_deg for _, found in frames if found.pitch_deg is not None])
+        return tuple(found for found in (*of_road, pitch, *self._poses.findings()) if found is not None)
 
 
 def camera_height(frames: Frames) -> Finding | None:
@@ -94,8 +95,8 @@ def camera_height(frames: Frames) -> Finding | None:
 
 
 def camera_pitch(pitches_deg: Sequence[float]) -> Finding | None:
-    """Whether lanes or motion show a horizon far from that of the mounting, in most frames that show one."""
-    if len(pitches_deg) < _FEWEST_WIDTHS or median(pitches_deg) <= _STEEPEST_DEG:
+    """Whether the pitch by lanes or motion is far from the mounting's; ``pitches_deg`` are the differences, degrees."""
+    if len(pitches_deg) < _FEWEST_FRAMES or median(pitches_deg) <= _STEEPEST_DEG:
         return None
     return Finding(
         "camera_pitch",
@@ -151,7 +152,7 @@ def lane_width(frames: Frames) -> Finding | None:
         elif rejected_m and (rejected_m < narrow or (row.camera_height_m or 0.0) > _HIGH_M):
             measured.append((row, rejected_m))
     rows, widths_m = [row for row, _ in measured], [width for _, width in measured]
-    if len(widths_m) < _FEWEST_WIDTHS or 2 * sum(not narrow <= width <= wide for width in widths_m) <= len(widths_m):
+    if len(widths_m) < _FEWEST_FRAMES or 2 * sum(not narrow <= width <= wide for width in widths_m) <= len(widths_m):
         return None
     width_m, heights_m = median(widths_m), [row.camera_height_m for row in rows if row.camera_height_m is not None]
     height = ""

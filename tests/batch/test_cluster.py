@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import psutil
@@ -132,6 +133,20 @@ def test_an_address_without_a_listener(scheme):
         RayBackend(address, 1, 1),
     ):
         pass
+
+
+def test_a_cluster_may_answer_in_pieces():
+    def answer(server):
+        with server.accept()[0] as connection:
+            connection.recv(len(cluster._GREETING))
+            for piece in (bytes(2), bytes(1), cluster._SETTINGS):
+                connection.sendall(piece)
+                time.sleep(0.05)
+
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor(1) as thread:
+        answered = thread.submit(answer, server)
+        cluster._require_listener(f"127.0.0.1:{server.getsockname()[1]}")
+        answered.result()
 
 
 @pytest.mark.parametrize("scheme", ["", "ray://"])

@@ -38,7 +38,7 @@ class InputKeys(_Keys):
     scale: float | Numbers = 1.0
     resize: Literal["squeeze", "letterbox"] = "squeeze"
     aspect: Annotated[float, Field(gt=0)] = 2.0
-    """Columns / rows of the widest image that is squeezed as it is, unless the input is wider itself."""
+    """With ``squeeze``, images with larger columns / rows than this and the input's get borders above and below."""
     align: Literal["corner", "centre"] = "corner"
     """Place of the image in a letterbox."""
     pad: Annotated[int, Field(ge=0, le=255)] = 114

@@ -15,7 +15,7 @@ from .description import Network
 
 _INSTALL: Final = "pip install '.[networks]' in the project's folder"
 _NUMBERS: Final = tuple(f"tensor({kind}" for kind in ("float)", "double)", "float16)", "int", "uint"))
-"""Beginnings of the types that numpy reads."""
+"""Beginnings of onnxruntime's names for tensors of numbers."""
 
 
 class Session(Protocol):
