@@ -308,7 +308,7 @@ def _crosses_road(track: ObjectTrack) -> bool:
 
 
 def _drives_ahead(track: ObjectTrack) -> bool:
-    """Whether an object certainly moves over the ground in the direction of the camera's axis, mainly."""
+    """Whether an object certainly moves away over the ground, and faster along the camera's axis than across."""
     place = track.place
     return place is not None and place.ahead_m.rate > max(
         _SURE_SIGMAS * sqrt(place.ahead_m.rate_var), abs(place.right_m.rate)
