@@ -57,7 +57,7 @@ class StereoConfig(StageSection):
     """Depth from a stereo pair by semi-global matching.
 
     ``full`` matches the image itself, ``fast`` an image with half its rows and columns. ``block_px``,
-    ``left_right_px``, ``speckle_px``, ``speckle_step_px`` and ``refine_px`` are pixels of the matched image.
+    ``speckle_px`` and ``refine_px`` are pixels of it.
     """
 
     method: Literal["fast", "full", "off"] = "fast"
@@ -72,12 +72,8 @@ class StereoConfig(StageSection):
     """Penalty for neighbours that differ by more: about 32 per pixel of the block."""
     uniqueness_percent: Annotated[int, Field(ge=0, lt=100)] = 10
     """Margin by which the best cost must beat those of other disparities."""
-    left_right_px: Count = 1
-    """Largest difference between the left and the right disparity of a point."""
     speckle_px: Annotated[int, Field(ge=0, le=1e4)] = 100
     """Isolated patches with fewer pixels become unknown."""
-    speckle_step_px: Count = 2
-    """Largest difference between neighbouring disparities of one patch."""
     refine_px: fields.OddCount | Literal[0] = 7
     """Side of the window whose gradients refine the disparities; 0: no refinement."""
     min_disparity_px: Positive = 1.0

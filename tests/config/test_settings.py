@@ -45,9 +45,7 @@ STEREO = {
     "stereo.p1": "400",
     "stereo.p2": "2000",
     "stereo.uniqueness_percent": "40",
-    "stereo.left_right_px": "8",
     "stereo.speckle_px": "0",
-    "stereo.speckle_step_px": "1",
     "stereo.refine_px": "0",
     "stereo.min_disparity_px": "8",
 }

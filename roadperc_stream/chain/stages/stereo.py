@@ -24,6 +24,10 @@ _MULTIPLE: Final = 16
 """OpenCV searches a multiple of this number of disparities."""
 _SUBPIXELS: Final = 16
 """OpenCV gives disparities in sixteenths of a pixel."""
+_LEFT_RIGHT_PX: Final = 1
+"""Largest difference between the left and the right disparity of a point, in pixels of the matched image."""
+_SPECKLE_STEP_PX: Final = 2
+"""Largest difference between neighbouring disparities of one patch, in pixels of the matched image."""
 _STEP_PX: Final = 1.0
 """Difference of neighbouring disparities, in pixels of the image, from which they belong to two objects."""
 _BASELINES_M: Final = (1e-3, 1e3)
@@ -197,10 +201,10 @@ def matcher_of(cfg: StereoConfig, count: int) -> cv2.StereoSGBM:
         blockSize=cfg.block_px,
         P1=cfg.p1,
         P2=cfg.p2,
-        disp12MaxDiff=cfg.left_right_px,
+        disp12MaxDiff=_LEFT_RIGHT_PX,
         uniquenessRatio=cfg.uniqueness_percent,
         speckleWindowSize=cfg.speckle_px,
-        speckleRange=cfg.speckle_step_px,
+        speckleRange=_SPECKLE_STEP_PX,
         mode=cv2.StereoSGBM_MODE_SGBM_3WAY,
     )
 
