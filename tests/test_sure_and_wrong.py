@@ -1,9 +1,11 @@
 """Deviations on rendered drives: few values are wrong by more than three of them, and they are not merely large."""
 
+import cv2
 import polars as pl
 import pytest
 
 from roadperc_stream.cli import convert, render, replay
+from tests.accuracy.drives import write_tags
 
 pytestmark = pytest.mark.long
 
@@ -106,3 +108,20 @@ def test_steps_of_one_camera_with_the_bonnet_in_view(tmp_path):
     assert len(steps) >= 0.9 * (len(table) - 1)
     assert (steps["off_m"] > 3 * steps["std_m"]).mean() <= 0.04
     assert steps["off_m"].median() < 0.03
+
+
+@pytest.mark.parametrize(("scene", "quality"), [("town", 75), ("bend", 50)])
+def test_boundaries_are_found_in_tags_saved_as_jpeg(tmp_path, scene, quality):
+    """Compression leaves wrong tags along edges, in blocks of 8 by 8 pixels."""
+    dump, log_in, out = (tmp_path / name for name in ("dump", "in.mcap", "out.mcap"))
+    size = ("--size", "640x480", "--seconds", "0.6", "--seed", "549")
+    assert render.main([str(dump), "--scene", scene, *size, "--without", "right"]) == 0
+    for picture in sorted((dump / "segmentation").iterdir()):
+        write_tags(picture, cv2.imread(str(picture))[..., 2], quality)
+    assert convert.main([str(dump), str(log_in), "--quiet", "--allow-lossy-tags"]) == 0
+    assert replay.main([str(log_in), str(out), "--quiet", "--results-only"]) == 0
+    frames = pl.read_parquet(out.with_suffix(".metrics.parquet"))
+    for side in ("left", "right"):
+        assert frames[f"lane_{side}_status"].to_list() == ["measured"] * 12
+        off_m = frames.select(pl.col(f"lane_{side}_offset_m") - pl.col(f"lane_{side}_true_offset_m")).to_series()
+        assert off_m.abs().max() < 0.1
