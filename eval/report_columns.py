@@ -5,7 +5,6 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-import polars as pl
 from rich.console import Console
 
 from roadperc_stream.schemas.columns import COUNT, TIME_COLUMNS, UNITLESS, InputColumns, columns_of, errors, estimates
@@ -33,11 +32,6 @@ class Quantity:
     def label(self) -> str:
         """Name with unit, if it has one."""
         return self.name if self.unit in UNITLESS else f"{self.name}, {self.unit}"
-
-    @property
-    def judged(self) -> pl.Expr:
-        """The value by which frames are judged: the value itself if high is better, else its absolute value."""
-        return pl.col(self.column) if self.better == "high" else pl.col(self.column).abs()
 
 
 def _quantities(**groups: type) -> tuple[Quantity, ...]:

@@ -57,7 +57,7 @@ class StereoConfig(StageSection):
     """Depth from a stereo pair by semi-global matching.
 
     ``full`` matches the image itself, ``fast`` an image with half its rows and columns. ``block_px``,
-    ``speckle_px`` and ``refine_px`` are pixels of it.
+    ``speckle_px`` and ``refine_px`` are pixels of the matched image.
     """
 
     method: Literal["fast", "full", "off"] = "fast"
