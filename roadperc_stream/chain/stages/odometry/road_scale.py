@@ -3,6 +3,7 @@
 The pitch of the camera is estimated with it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -40,6 +41,9 @@ _HEIGHT_SHARE: Final = 0.045
 6 % in two KITTI sequences, and by 8 % on a highway whose camera height is a guess."""
 _LEAN_M: Final = 0.8
 """Standard deviation of a length in a bend, as a share, by its curvature per metre: the car leans to one side."""
+_SQUAT_S2_PER_M: Final = 0.04
+"""Standard deviation of a length while the car accelerates, as a share, by m/s2: the body pitches about half a degree
+per m/s2, and its rise looks like the opposite pitch in the direction of motion."""
 _SAME_DOUBT: Final = 0.05
 """Largest relative difference of successive doubts at which the road is right and the points are wrong."""
 _DOUBTS: Final = 4
@@ -61,6 +65,7 @@ def scaled_by_road(
     pitch: CameraPitch,
     expected: Expected | None,
     possible_m: tuple[float, float],
+    acceleration: Callable[[float, float], float],
     *,
     parallax_px: float,
 ) -> tuple[Motion, CameraPitch]:
@@ -69,6 +74,7 @@ def scaled_by_road(
     The pitch counts if the road's plane is assumed from the mounting.
     ``expected`` is the length by triangulated points or at the last known speed, ``possible_m`` the shortest and the
     longest length that a car can drive, ``parallax_px`` the median shift of the features beyond that of the rotation.
+    ``acceleration`` gives the size of the car's acceleration, m/s2, by the length and its variance.
     """
     length = float(np.linalg.norm(motion.this_T_key[:3, 3]))
     R, t = motion.this_T_key[:3, :3], motion.this_T_key[:3, 3] / length
@@ -97,6 +103,7 @@ def scaled_by_road(
     shared = 0.0
     if _is_assumed(frame):
         shared = found.metres_per_pitch**2 * pitch.variance + _mounting_variance(length_m, bend_per_m)
+        shared += (_SQUAT_S2_PER_M * acceleration(length_m, noise) * length_m) ** 2
     return _with_length(motion, "measured", length_m, noise, max(shared, found.variance)), pitch
 
 

@@ -5,6 +5,7 @@ last known speed.
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,8 @@ _POINTS_SHARE: Final = 0.02
 _SEARCH_SHARE: Final = 0.03
 """Standard deviation by which the search for a length extends beyond the possible lengths, as a share."""
 _SIGMAS: Final = 3.0
+_UNKNOWN_MPS2: Final = 2.0
+"""Acceleration of a car whose last speed is unknown: one standard deviation in town."""
 
 
 def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None:
@@ -44,7 +47,10 @@ def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None
     pitch = camera_pitch.updated(pitch, direction)
     if landmarks.source == "plane":
         shift_px, expected = parallax_px(frame.camera, key_px, px, motion), _expected_length(this, motion)
-        motion, pitch = scaled_by_road(frame, this.keyframe, motion, pitch, *expected, parallax_px=shift_px)
+        acceleration = partial(_acceleration_mps2, this)
+        motion, pitch = scaled_by_road(
+            frame, this.keyframe, motion, pitch, *expected, acceleration, parallax_px=shift_px
+        )
     elif not motion.scaled:
         motion = _in_units(this, motion)
     return Estimate(px, motion, this.pose(motion), pitch)
@@ -76,7 +82,7 @@ def _expected_length(this: FollowedFrame, motion: Motion) -> tuple[Expected | No
     The length is None if neither is known.
     """
     last, seconds, speed = this.last, this.seconds, this.metric_speed
-    driven_m = float(np.linalg.norm((this.odom_T_last @ this.frame.ego_T_camera - this.keyframe.odom_T_camera)[:3, 3]))
+    driven_m = _driven_m(this)
     least, most = (limit * seconds for limit in this.limits_mps((_SEARCH_SHARE * speed.per_s) ** 2 if speed else 0.0))
     reach_m = _SIGMAS * float(np.sqrt(last.length_variance))
     tried_m = max(driven_m + (least or -most) - reach_m, 0.0), driven_m + most + reach_m
@@ -88,3 +94,18 @@ def _expected_length(this: FollowedFrame, motion: Motion) -> tuple[Expected | No
         return None, tried_m
     variance = speed.variance_after((this.middle_ns - speed.stamp_ns) / NS_PER_S)
     return Expected(driven_m + speed.per_s * seconds, last.length_variance + variance * seconds**2), tried_m
+
+
+def _acceleration_mps2(this: FollowedFrame, length_m: float, variance: float) -> float:
+    """Least size of the acceleration since the last speed, by a length since the keyframe with its variance."""
+    if (speed := this.metric_speed) is None:
+        return _UNKNOWN_MPS2
+    seconds = (this.middle_ns - speed.stamp_ns) / NS_PER_S
+    change_mps = abs((length_m - _driven_m(this)) / this.seconds - speed.per_s)
+    variance = (variance + this.last.length_variance) / this.seconds**2 + speed.variance
+    return max(change_mps - _SIGMAS * float(np.sqrt(variance)), 0.0) / seconds
+
+
+def _driven_m(this: FollowedFrame) -> float:
+    """Distance of the camera from the keyframe at the last frame."""
+    return float(np.linalg.norm((this.odom_T_last @ this.frame.ego_T_camera - this.keyframe.odom_T_camera)[:3, 3]))

@@ -140,12 +140,14 @@ def test_a_real_car_with_its_bonnet_in_view_keeps_its_scale(data_dir, tmp_path):
     assert (off_m > 3 * known["step_std_m"]).mean() <= 0.04
 
 
-def test_small_images_at_two_hertz_give_no_scale(data_dir, tmp_path):
+def test_small_images_at_two_hertz_give_hardly_any_scale(data_dir, tmp_path):
+    """The two known steps follow a stand: the accelerating car squats, so they are 18 % too short."""
     source = data_dir / "carla_leaderboard" / "route_00"
     assert convert.main([str(source), str(tmp_path / "in.mcap"), "--quiet"]) == 0
     replay(tmp_path / "in.mcap", tmp_path / "out.mcap", config={"objects": {"enabled": False}})
     table = pl.read_parquet(tmp_path / "out.metrics.parquet")
     assert table["step_m"].is_not_null().mean() < 0.05
+    assert (table["step_error_m"] <= 3 * table["step_std_m"]).drop_nulls().all()
 
 
 @pytest.mark.accuracy

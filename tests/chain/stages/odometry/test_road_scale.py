@@ -39,7 +39,8 @@ def test_a_contradicting_length_counts_only_if_it_confirms_the_last_ones(monkeyp
     frame = SimpleNamespace(road=None, ego_T_camera=np.eye(4))
     keyframe = SimpleNamespace(landmarks=SimpleNamespace(doubts=doubts))
     ahead = Motion(rigid(np.eye(3), np.array([0.0, 0.0, -1.0])), np.ones(1, bool), np.zeros((1, 3)), None, scaled=True)
-    motion, _ = scaled_by_road(frame, keyframe, ahead, CameraPitch(0.0, 0.0), KNOWN, (0.0, 2.0), parallax_px=0.0)
+    pitch, steady = CameraPitch(0.0, 0.0), lambda *_: 0.0
+    motion, _ = scaled_by_road(frame, keyframe, ahead, pitch, KNOWN, (0.0, 2.0), steady, parallax_px=0.0)
     assert np.linalg.norm(motion.this_T_key[:3, 3]) == pytest.approx(length_m)
     height_std_m = road_scale._HEIGHT_SHARE * length_m if scale == "points" else 0.0
     assert motion.length_variance == pytest.approx(std_m**2 + height_std_m**2, rel=0.1)
