@@ -38,8 +38,8 @@ from ..scan import SEGMENT, difference, finite, neighbour_columns, objects_of, r
 
 RUN: Final = "run"
 """The number of a run, from 0."""
-_MOST_VALUES: Final = 100_000_000
-"""Most values of the columns that are read at a time: 800 MB."""
+_MOST_VALUES: Final = 75_000_000
+"""Most values of the columns that are read at a time: 600 MB."""
 _ROWS: Final = 131_072
 """Rows of a batch of texts."""
 Numbers = NDArray[np.int64]
@@ -170,11 +170,13 @@ class Frames:
         names = [q.column for q in NUMBERS if q.column in wanted and q.column not in derived]
         most = max(_MOST_VALUES // len(self.run), 1)
         for at in range(0, len(names), most):
-            table = self.source.collect(*names[at : at + most])
-            yield from ((column.name, column.to_numpy()) for column in table.iter_columns())
+            columns = self.source.collect(*names[at : at + most]).get_columns()[::-1]
+            while columns:
+                column = columns.pop()  # frees the memory of each column after its use
+                yield column.name, column.to_numpy()
         table = self.beside(name for column in derived.values() for name in column.meta.root_names())
-        for name, column in derived.items():
-            yield name, table.select(column).to_series().to_numpy()
+        for name, expression in derived.items():
+            yield name, table.select(expression).to_series().to_numpy()
 
     def beside(self, columns: Iterable[str]) -> pl.DataFrame:
         """Some numeric columns beside ``RUN``, ``SEGMENT`` and the stamp; values that are not finite are null.

@@ -88,8 +88,8 @@ class WorstLogs:
             yield WorstLog(run, float(means[run]), float(valued[run] / self._counts[run]), worst)
 
     def _uncovered(self, known: Numbers, valued: Numbers) -> Iterator[LeastCovered]:
-        configs = self.frames.runs["config"].to_numpy()
-        enabled = np.isin(configs, configs[valued > 0])
+        configs = self.frames.runs["config"]
+        enabled = configs.is_in(configs.filter(valued > 0).unique().implode()).to_numpy()
         shares = valued / self._counts
         for run in self._each_once(np.flatnonzero(enabled & (shares < 1)), shares):
             at = self._of_runs.frames[run]
