@@ -39,6 +39,8 @@ _UNKNOWN_STD_SHARE = 0.05
 """Standard deviation, as a share, of a distance without one: an object partly beyond the depth's range."""
 _WALK_WITHOUT_DEPTH = 2.0
 """Factor of ``objects.process_noise`` without depth: then the braking of the car itself is not a known input."""
+_MOST_ONE_SIDED = 6.0
+"""``Jitter.one_sided`` beyond which the rate is wrong: 98.6 % of chi squared, 1 degree of freedom."""
 _ZOOM = (0.5, 2.0)
 """Limits of the factor of a box's size in one prediction."""
 
@@ -127,6 +129,11 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
         change_m = (ego_rate.mean_mps - track.ego_rate.end_mps) * dt_s
         change_mps = ego_rate.end_mps - track.ego_rate.end_mps
         distance_m, rival_m = (m.shifted(change_m, change_mps) if m else None for m in (distance_m, rival_m))
+    place = None if track.place is None or now_T_last is None else track.place.predict(now_T_last, dt_s)
+    if place is not None and track.place is not None:
+        # The direction to an object that crosses turns, and with it the part of its speed that changes the distance.
+        turn_mps = place.receding_mps - track.place.receding_mps
+        distance_m, rival_m = (m.shifted(turn_mps * dt_s / 2, turn_mps) if m else None for m in (distance_m, rival_m))
     scale = zoom(track.distance_m.value if track.distance_m else None, distance_m)
     box_px = _box((x_px.value, y_px.value), (width * scale, height * scale))
     return replace(
@@ -140,7 +147,7 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
         left_m=left_m,
         ego_rate=ego_rate,
         growth=_grown(track, walk_mps, dt_s),
-        place=None if track.place is None or now_T_last is None else track.place.predict(now_T_last, dt_s),
+        place=place,
         stamp_ns=stamp_ns,
         missed=track.observed_ns != track.stamp_ns,
     )
@@ -325,7 +332,10 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
     theirs = rival.surprise(distance_m, std_m) if rival else cfg.gate
     if ours <= min(theirs, cfg.gate):
         jitter = track.jitter.after(track.stamp_ns, filtered, distance_m, std_m) if track.jitter else new
-        distance = filtered.update(distance_m, jitter.std(filtered, distance_m, std_m))
+        used_std_m = jitter.std(filtered, distance_m, std_m)
+        if jitter.one_sided > _MOST_ONE_SIDED:
+            filtered, jitter = filtered.doubted(jitter.one_sided), jitter.renewed()
+        distance = filtered.update(distance_m, used_std_m)
         return replace(track, distance_m=distance, rival_m=None, jitter=jitter, agreed_ns=stamp_ns)
     if rival is None or theirs > cfg.gate:
         return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)

@@ -61,6 +61,13 @@ class GroundPlace:
         right_m = right_m.shifted(x - right_m.value, x_mps - right_m.rate)
         return GroundPlace(right_m, ahead_m.shifted(z - ahead_m.value, z_mps - ahead_m.rate), y)
 
+    @property
+    def receding_mps(self) -> float:
+        """The speed over the ground away from the camera, m/s."""
+        right_m, ahead_m = self.right_m, self.ahead_m
+        range_m = max(hypot(right_m.value, ahead_m.value), _LEAST_STD_M)
+        return (right_m.value * right_m.rate + ahead_m.value * ahead_m.rate) / range_m
+
     def update(self, seen: Sighting) -> "GroundPlace":
         """The predicted place after the object was seen."""
         x, y, z = seen.point_m

@@ -8,12 +8,17 @@ rate. The jitter is the part that changes from frame to frame. It is estimated f
 the line through its neighbours: the residuals of local linear fits (T. Gasser, L. Sroka and C. Jennen-Steinmetz,
 Residual variance and residual pattern in nonlinear regression, Biometrika 73, 1986).
 
+Innovations of one sign show that the rate is wrong: the object brakes, the track passed to another one, or the first
+distances were wrong. The mean of a right filter's innovations is 0. If it is not, the rate is less certain than the
+filter computes, and far from 0 the filter forgets (H. Sorenson and J. Sacks, Recursive fading memory filtering,
+Information Sciences 3, 1971).
+
 The car's own motion is known from odometry and is a known input of the filter (Bar-Shalom, Li and Kirubarajan 2001,
 section 5.2.1). The filter does not have to estimate that the car brakes, turns or passes an object.
 """
 
-from dataclasses import dataclass
-from math import exp, sqrt
+from dataclasses import dataclass, replace
+from math import copysign, exp, sqrt
 
 import numpy as np
 
@@ -26,6 +31,8 @@ _FIRST_WEIGHT = 2.0
 _LEAST_STD = 0.01
 _HUBER = 2.0
 """Standard deviations beyond which the weight of an innovation decreases (Huber's constant)."""
+_MOST_LEAN = 3.0
+"""Largest innovation that counts fully in their mean, in standard deviations: one outlier shows nothing."""
 _STEADIEST, _WILDEST = 0.25, 10.0
 """Limits of the factor of a rate's variance."""
 Ray = tuple[float, float, float]
@@ -66,6 +73,10 @@ class RateFilter:
         """The filter of the negated value."""
         return RateFilter(-self.value, -self.rate, self.value_var, self.cross_var, self.rate_var)
 
+    def doubted(self, factor: float) -> "RateFilter":
+        """The filter with variances that are larger by a factor: later measurements count more."""
+        return RateFilter(self.value, self.rate, *(factor * v for v in (self.value_var, self.cross_var, self.rate_var)))
+
     def at(self, value: float, std: float, rate_change: float) -> "RateFilter":
         """The filter with a new value that does not affect the rate; the rate may have changed by ``rate_change``."""
         return RateFilter(value, self.rate, std**2, 0.0, self.rate_var + rate_change**2)
@@ -94,7 +105,8 @@ class Jitter:
 
     The unit is that of the filter: metres for distances.
 
-    ``innovation`` is the mean of the filter's squared innovations, in units of their expected variance.
+    ``innovation`` is the mean of the filter's squared innovations, in units of their expected variance, and ``lean``
+    the mean of the innovations, in units of their expected standard deviation; outliers are bounded.
     """
 
     variance: float
@@ -104,6 +116,7 @@ class Jitter:
     earlier_ns: int | None = None
     earlier: float = 0.0
     innovation: float = 1.0
+    lean: float = 0.0
 
     @classmethod
     def of_first(cls, stamp_ns: int, measured: float, std: float) -> "Jitter":
@@ -113,7 +126,7 @@ class Jitter:
     def after(self, stamp_ns: int, filtered: RateFilter, measured: float, std: float) -> "Jitter":
         """The jitter after a later distance with its standard deviation; ``filtered`` is its prediction."""
         if self.earlier_ns is None:
-            return Jitter(self.variance, self.weight, stamp_ns, measured, self.last_ns, self.last, self.innovation)
+            return replace(self, last_ns=stamp_ns, last=measured, earlier_ns=self.last_ns, earlier=self.last)
         share = (self.last_ns - self.earlier_ns) / (stamp_ns - self.earlier_ns)
         residual = self.last - self.earlier * (1 - share) - measured * share
         square = min(residual**2 / (1 + share**2 + (1 - share) ** 2), std**2)
@@ -121,7 +134,18 @@ class Jitter:
         variance = (self.variance * weight + square) / (weight + 1)
         surprise = filtered.surprise(measured, max(sqrt(variance), _LEAST_STD))
         innovation = (self.innovation * weight + surprise) / (weight + 1)
-        return Jitter(variance, weight + 1, stamp_ns, measured, self.last_ns, self.last, innovation)
+        bounded = copysign(min(sqrt(surprise), _MOST_LEAN), measured - filtered.value)
+        lean = (self.lean * weight + bounded) / (weight + 1)
+        return Jitter(variance, weight + 1, stamp_ns, measured, self.last_ns, self.last, innovation, lean)
+
+    @property
+    def one_sided(self) -> float:
+        """Square of the mean innovation over its variance: at most chi squared, 1 degree of freedom, if it is 0."""
+        return self.lean**2 * self.weight
+
+    def renewed(self) -> "Jitter":
+        """The jitter without what it knows of the innovations, for a filter with other variances."""
+        return replace(self, innovation=1.0, lean=0.0)
 
     @property
     def rate_var_scale(self) -> float:
@@ -131,7 +155,7 @@ class Jitter:
         The factor follows from the innovations: covariance matching (R. Mehra, Approaches to adaptive filtering, IEEE
         Transactions on Automatic Control 17, 1972).
         """
-        return min(max(self.innovation, _STEADIEST), _WILDEST)
+        return min(max(self.innovation, self.one_sided, _STEADIEST), _WILDEST)
 
     def std(self, filtered: RateFilter, measured: float, std: float) -> float:
         """Standard deviation of a distance for the filter: larger for an outlier, at most ``std``.

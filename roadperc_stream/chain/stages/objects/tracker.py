@@ -31,7 +31,7 @@ MOST_TRACKS = 256
 """Largest number of tracks; beyond it, the tracks longest without a detection are dropped."""
 EXPECTED_OVERLAP = 0.4
 """Least intersection over union of a detection and the predicted box of its object."""
-_EDGE_SIGMAS = 2.0
+_EDGE_SIGMAS = 3.0
 """A box whose edge is this near to the image's border, in deviations of the edge, counts as cut by it."""
 _SEARCH_SIGMAS = 3.0
 _SEARCH_SIDES = 1.0

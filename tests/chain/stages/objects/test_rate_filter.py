@@ -100,3 +100,14 @@ def test_the_variance_of_the_rate_follows_the_innovations(true_m, expected):
         jitter = jitter.after(k * 50_000_000, filtered, 10.0, STD_M)
         scales.append(jitter.rate_var_scale)
     assert np.median(scales[100:]) == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.parametrize(("signs", "least", "most"), [((1, 1), 6.0, 10.0), ((1, -1), 0.8, 1.2)])
+def test_innovations_of_one_sign_make_the_rate_less_certain(signs, least, most):
+    """Each innovation is as large as the filter expects; a filter that follows has both signs."""
+    jitter = Jitter.of_first(1, 10.0, STD_M)
+    for k in range(2, 22):
+        filtered = rate_filter.start(10.0 - signs[k % 2], 1.0, 1.0)
+        jitter = jitter.after(k * 50_000_000, filtered, 10.0, STD_M)
+    assert least < jitter.rate_var_scale <= most
+    assert jitter.renewed().rate_var_scale == 1.0
