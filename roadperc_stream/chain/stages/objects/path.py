@@ -192,9 +192,10 @@ def _points(frame: Frame, depth_m: Float32, detection: Detection, distance_m: fl
     return points, np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + z**2)
 
 
-def judged(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
+def judged(cfg: ObjectsConfig, frame: Frame, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
     """The object with its track's id, place beside the path, closing speed and time to impact."""
-    return _timed(cfg, _placed(cfg, path, replace(item, track_id=str(track.number)), track), track)
+    placed = _placed(cfg, path, replace(item, track_id=str(track.number)), track)
+    return _timed(cfg, placed, track, frame.inverse_depth_std)
 
 
 def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
@@ -212,12 +213,15 @@ def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack)
     return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
 
 
-def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
+def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack, inverse_std: float) -> Object:
     """The object with closing speed and time to impact from the track's distances.
 
     The closing speed is positive if the distance to the camera decreases; it is None if its standard deviation is too
     large. Only an object in the path that certainly comes nearer has a time to impact. It has none while the measured
     distances contradict the filter, because they may belong to another object.
+
+    An error of 1 / distance that the distances of stereo share, ``inverse_std``, is an error of the distance that
+    changes with it: e d^2, which appears as the speed 2 e d times the closing speed.
     """
     distance = track.distance_m
     if track.ground_share is not None and distance is not None and distance.value > 0:
@@ -225,8 +229,9 @@ def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack) -> Object:
     if distance is None or sqrt(distance.rate_var) > cfg.max_speed_std_mps:
         return item
     closing, std = -distance.rate, sqrt(distance.rate_var)
+    shared_mps = 2.0 * inverse_std * distance.value * closing
     own = sqrt(track.jitter.rate_var_scale) if track.jitter else 1.0
-    item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=own * std)
+    item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=hypot(own * std, shared_mps))
     contradicted = track.rival_m is not None or distance.value <= 0
     nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
     if not item.in_path or contradicted or not nears:

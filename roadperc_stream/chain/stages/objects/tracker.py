@@ -114,14 +114,16 @@ def step(
     }
     missed = [object_track.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
     searched = _searched(cfg, frame, path, missed, kept)
-    found = tuple(judged(cfg, path, s.item, s.track) for s in searched if s.item is not None)
+    found = tuple(judged(cfg, frame, path, s.item, s.track) for s in searched if s.item is not None)
     tracks = _remembered([*detected.values(), *(s.track for s in searched)])
     after = ObjectsState(tracks, state.next_number + len(kept.items) - len(pairs), path, arc)
     obstacle, correlation = find_obstacle(cfg, frame)
     found += () if obstacle is None else (obstacle,)
     if isinstance(filtered, Absent) and not found:
         return after, filtered
-    tracked = tuple(judged(cfg, path, item, detected[k]) if k in detected else item for k, item in enumerate(own))
+    tracked = tuple(
+        judged(cfg, frame, path, item, detected[k]) if k in detected else item for k, item in enumerate(own)
+    )
     correlations = tuple(c for c in (*(s.correlation for s in searched), correlation) if c is not None)
     return after, Objects(tracked + found, correlations, path.source)
 

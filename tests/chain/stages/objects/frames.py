@@ -1,6 +1,6 @@
 """Artificial detections and distances: objects are boxes with constant depth."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,14 +28,14 @@ class Follower:
     stamp_ns: int = 0
     objects: tuple = ()
 
-    def frame(self, *detections, depth_m=None, grey=None, dt_ns=STEP_NS, tags=None):
+    def frame(self, *detections, depth_m=None, grey=None, dt_ns=STEP_NS, tags=None, inverse_std=0.0):
         """Run one frame; ``depth_m`` is an image or a constant."""
         if isinstance(depth_m, float):
             depth_m = np.full(CAMERA.size, depth_m, np.float32)
         self.stamp_ns += dt_ns
         inputs = {"detections": detections, "tags": tags, "depth_m": depth_m, "grey": grey}
         scene = scene_of(CAMERA, limit_m=LIMIT_M, stamp_ns=self.stamp_ns, **inputs)
-        self.state, out = step(self.cfg, self.state, scene)
+        self.state, out = step(self.cfg, self.state, replace(scene, inverse_depth_std=inverse_std))
         assert isinstance(out, Objects)
         self.objects = out.objects
         return self.objects

@@ -132,6 +132,18 @@ def test_a_distance_that_other_distances_contradict_is_not_expected_for_long():
     assert expected[5] == pytest.approx(8.0, abs=0.1), "the track restarted"
 
 
+def test_the_closing_speed_by_stereo_covers_an_error_that_all_distances_share():
+    """1 / distance is wrong by 0.006 / m, twice its deviation: the error of the distance shrinks on the way."""
+    follower, sigmas = Follower(), []
+    for true_m in np.arange(30.0, 12.0, -0.5):
+        follower.frame(CAR, depth_m=float(1.0 / (1.0 / true_m + 0.006)), inverse_std=0.003)
+        item = follower.only
+        if item.closing_speed_mps is not None:
+            sigmas.append((item.closing_speed_mps - 0.5 / (STEP_NS / 1e9)) / item.closing_speed_std_mps)
+    assert len(sigmas) > 10
+    assert np.abs(sigmas).max() < 3.0
+
+
 @pytest.mark.parametrize(("gate", "accepted"), [(CFG.gate, False), (1e4, True)])
 def test_a_jump_beyond_the_gate_is_rejected(gate, accepted):
     """The jump is 14 standard deviations of measurement and prediction."""
