@@ -1,6 +1,7 @@
 """Deviations on rendered drives: few values are wrong by more than three of them, and they are not merely large."""
 
 import cv2
+import numpy as np
 import polars as pl
 import pytest
 
@@ -108,6 +109,30 @@ def test_steps_of_one_camera_with_the_bonnet_in_view(tmp_path):
     assert len(steps) >= 0.9 * (len(table) - 1)
     assert (steps["off_m"] > 3 * steps["std_m"]).mean() <= 0.04
     assert steps["off_m"].median() < 0.03
+
+
+def scale_depth(picture, share):
+    """Make all depths of a CARLA picture wrong by a share."""
+    code = cv2.imread(str(picture)).astype(np.float64) @ (65536, 256, 1)
+    scaled = np.where(code < 2**24 - 1, np.rint(code * (1 + share)), code).astype(np.int64)
+    cv2.imwrite(str(picture), np.stack((scaled >> 16, (scaled >> 8) & 255, scaled & 255), axis=-1).astype(np.uint8))
+
+
+@pytest.mark.parametrize(("scene", "std"), [("town", 0.01), ("bend", 0.005)])
+def test_steps_by_depth_that_is_wrong_by_another_share_in_each_image(tmp_path, scene, std):
+    dump, log_in, out = (tmp_path / name for name in ("dump", "in.mcap", "out.mcap"))
+    options = ("--size", "640x480", "--rate", "10", "--seconds", "3", "--seed", "712", "--without", "right")
+    assert render.main([str(dump), "--scene", scene, *options]) == 0
+    rng = np.random.default_rng(712)
+    for picture in sorted((dump / "depth").iterdir()):
+        scale_depth(picture, std * rng.standard_normal())
+    assert convert.main([str(dump), str(log_in), "--quiet"]) == 0
+    assert replay.main([str(log_in), str(out), "--quiet", "--results-only"]) == 0
+    steps = pl.read_parquet(out.with_suffix(".metrics.parquet"))[1:]
+    assert steps["step_std_m"].null_count() == 0
+    off_m = (steps["step_m"] - steps["true_step_m"]).abs()
+    assert (off_m > 3 * steps["step_std_m"]).mean() <= 0.07
+    assert (steps["step_std_m"] / steps["true_step_m"]).median() < 2 * std
 
 
 @pytest.mark.parametrize(("scene", "quality"), [("town", 75), ("bend", 50)])

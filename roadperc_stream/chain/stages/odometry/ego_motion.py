@@ -65,8 +65,9 @@ def _followed(cfg: OdometryConfig, state: OdometryState, tracked: TrackingFrame)
     """The state after a frame with an image, and its pose."""
     pitch = _with_lines(camera_pitch.begun(cfg) if state.pitch is None else state.pitch, tracked)
     if state.keyframe is None or state.last is None:
-        return _begun(cfg, state.odom_T_ego, pitch, tracked), Odometry("first", state.odom_T_ego)
-    this = FollowedFrame(cfg, tracked, state.keyframe, state.last, state.odom_T_ego, pitch, state.speed)
+        return _begun(cfg, state, state.odom_T_ego, pitch, tracked), Odometry("first", state.odom_T_ego)
+    reference = state.keyframe, state.last, state.odom_T_ego
+    this = FollowedFrame(cfg, tracked, *reference, pitch, state.speed, state.depth_scale)
     same_camera = tracked.camera == state.keyframe.camera
     equal = _equalised(this)
     estimate = estimated(equal)
@@ -79,7 +80,7 @@ def _followed(cfg: OdometryConfig, state: OdometryState, tracked: TrackingFrame)
         return state, lost
     new_camera = replace(camera_pitch.begun(cfg), levelled=pitch.levelled)
     pitch = camera_pitch.after_loss(cfg, pitch, this.seconds) if same_camera else new_camera
-    return _begun(cfg, state.odom_T_ego, pitch, tracked, state.speed), lost
+    return _begun(cfg, state, state.odom_T_ego, pitch, tracked), lost
 
 
 def _without_image(state: OdometryState, frame: Frame) -> Odometry | Absent:
@@ -123,13 +124,13 @@ def _with_lines(pitch: CameraPitch, frame: TrackingFrame) -> CameraPitch:
 
 
 def _begun(
-    cfg: OdometryConfig, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame, speed: KnownSpeed | None = None
+    cfg: OdometryConfig, state: OdometryState, odom_T_ego: Float, pitch: CameraPitch, frame: TrackingFrame
 ) -> OdometryState:
-    """The state with this frame as keyframe, at the last known pose."""
+    """The state with this frame as keyframe, at the last known pose. ``state`` is that of the last frame."""
     keyframe = make_keyframe(cfg, frame, odom_T_ego @ frame.ego_T_camera)
     px = keyframe.landmarks.features.px
     last = LastFrame(frame.stamp_ns, None, px, np.zeros((len(px), 6)))
-    return OdometryState(odom_T_ego, keyframe, last, pitch, speed)
+    return OdometryState(odom_T_ego, keyframe, last, pitch, state.speed, depth_scale=state.depth_scale)
 
 
 def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> tuple[OdometryState, Odometry]:
@@ -153,7 +154,7 @@ def _bridged(this: FollowedFrame, state: OdometryState, estimate: Estimate) -> t
         has_length=False,
     )
     if _is_due(this, estimate):
-        return _begun(this.cfg, odom_T_ego, estimate.pitch, frame, state.speed), out
+        return _begun(this.cfg, state, odom_T_ego, estimate.pitch, frame), out
     pitch = camera_pitch.predicted(this.cfg, estimate.pitch, inverse(last_T_this), this.seconds)  # at the last frame
     return replace(state, last=replace(last, found_px=_last_px(last, estimate)), pitch=pitch), out
 
@@ -163,6 +164,9 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
     cfg, frame, keyframe, last, motion = this.cfg, this.frame, this.keyframe, this.last, estimate.motion
     metric = keyframe.landmarks.metric
     last_T_this = inverse(this.odom_T_last) @ estimate.odom_T_ego
+    if keyframe.landmarks.source == "depth":
+        depth_scale = this.depth_scale.after(frame, keyframe.landmarks.features.px, motion)
+        this = replace(this, depth_scale=depth_scale)
     influence = in_ego_axes(frame.ego_T_camera, motion.influence)
     velocity = this.velocity(estimate.odom_T_ego)
     odom_T_ego, keyframe, pitch = _levelled(estimate, keyframe, float(np.linalg.norm(last_T_this[:3, 3])))
@@ -196,7 +200,7 @@ def _continued(this: FollowedFrame, estimate: Estimate) -> tuple[OdometryState, 
         speed = speed.by_points(per_s, motion.noise_variance / this.seconds**2, this.middle_ns)
     begins = last.velocity is None and motion.still is not None
     now = LastFrame(frame.stamp_ns, None if begins else velocity, found_px, influence, length_variance)
-    return OdometryState(odom_T_ego, keyframe, now, pitch, speed), out
+    return OdometryState(odom_T_ego, keyframe, now, pitch, speed, depth_scale=this.depth_scale), out
 
 
 def _covariance(this: FollowedFrame, motion: Motion, influence: Float | None, last_T_this: Float) -> tuple[float, ...]:
@@ -206,6 +210,8 @@ def _covariance(this: FollowedFrame, motion: Motion, influence: Float | None, la
         return tuple((in_ego @ motion.still @ in_ego.T).ravel().tolist())
     key_px, width = this.keyframe.landmarks.features.px, this.frame.camera.width
     length_variance = motion.length_variance + this.last.length_variance
+    if this.keyframe.landmarks.source == "depth":
+        length_variance += this.depth_scale.variance * float(np.sum(last_T_this[:3, 3] ** 2))
     return step_covariance(key_px, width, influence, this.last.influence, last_T_this, length_variance)
 
 

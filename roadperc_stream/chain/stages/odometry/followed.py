@@ -1,12 +1,13 @@
 """A frame that follows others, and the motion estimated for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry import camera_pitch
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
+from roadperc_stream.chain.stages.odometry.depth_scale import DepthScale
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
 from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame
 from roadperc_stream.chain.stages.odometry.motion import Motion, moved
@@ -31,6 +32,7 @@ class FollowedFrame:
     odom_T_last: Float
     pitch: CameraPitch
     speed: KnownSpeed | None = None
+    depth_scale: DepthScale = field(default_factory=DepthScale)
 
     @property
     def middle_ns(self) -> int:

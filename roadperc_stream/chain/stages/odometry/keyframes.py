@@ -13,6 +13,7 @@ from typing import Final, Literal
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry.camera_pitch import CameraPitch
+from roadperc_stream.chain.stages.odometry.depth_scale import DepthScale
 from roadperc_stream.chain.stages.odometry.features import FRONTENDS, Features, TrackingFrame, spread
 from roadperc_stream.chain.stages.odometry.motion import Motion
 from roadperc_stream.chain.stages.odometry.speed import KnownSpeed
@@ -131,6 +132,7 @@ class OdometryState:
     pitch: CameraPitch | None = None
     speed: KnownSpeed | None = None
     band_correlations: tuple[float, ...] = ()
+    depth_scale: DepthScale = field(default_factory=DepthScale)
 
     def __post_init__(self) -> None:
         read_only(self.odom_T_ego, np.float64, (4, 4), "odom_T_ego")

@@ -40,7 +40,7 @@ _SINGULAR = 1e12
 """Condition number of normal equations that do not determine the motion."""
 _CONVERGED = 1e-6
 """Metres and radians below which another iteration changes nothing."""
-_CELLS: Final = 8
+CELLS: Final = 8
 """Cells across the image; features within one cell err together."""
 _SYSTEMATIC: Final = 0.001
 """Error shared by all features, as a share of the step; the scatter does not show it. Windows follow a stretch only in
@@ -240,8 +240,8 @@ def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
     pulls, px = pulls[used], key_px[used]
     if len(pulls) <= _FREE:
         return None
-    column, row = (px // (width / _CELLS)).astype(int).T
-    _, cell = np.unique(row * _CELLS + column, return_inverse=True)
+    column, row = (px // (width / CELLS)).astype(int).T
+    _, cell = np.unique(row * CELLS + column, return_inverse=True)
     together = np.zeros((int(cell.max()) + 1, _FREE))
     np.add.at(together, cell, pulls)
     alone = pulls.T @ pulls * (len(pulls) / (len(pulls) - _FREE))
