@@ -15,7 +15,7 @@ SAMPLE_OPTIONS := --scene town --size 360x270 --seconds 2 --tag-noise 0.01 --dep
 
 EVENT_LOGS := $(EVENTS:%=$(PICTURES)/%.mcap)
 
-.PHONY: $(EVENT_LOGS) demo test test-long test-hostile mutants accuracy accuracy-long gate-rates kills cluster parts bench bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
+.PHONY: $(EVENT_LOGS) demo test test-long test-hostile mutants accuracy accuracy-long gate-rates hindsight-rates kills cluster parts bench bench-compare bench-report image fuzz lint pages proto sample pictures docs clean
 
 # uv is three times as fast as pip, but reads no settings of pip: where it finds no packages, pip installs.
 $(VENV)/.installed: pyproject.toml setup.py $(wildcard roadperc_stream/*/*.pyx)
@@ -66,6 +66,9 @@ accuracy: $(VENV)/.installed  # required and measured accuracy: make accuracy SE
 
 gate-rates: $(VENV)/.installed  # how often compare is wrong, an hour on two cores; PAGE=docs/evaluation.md updates the page
 	$(BIN)/python -m tests.gate_rates logs/runs/gate-rates --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
+
+hindsight-rates: $(VENV)/.installed  # how far errors by hindsight can be believed, an hour on two cores; PAGE=docs/hindsight.md updates the page
+	$(BIN)/python -m tests.hindsight_rates logs/runs/hindsight-rates --jobs $(JOBS) $(if $(PAGE),--page $(PAGE))
 
 accuracy-long: $(VENV)/.installed  # the accuracy tests at full size
 	$(BIN)/python -m pytest -m accuracy -s

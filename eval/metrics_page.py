@@ -7,13 +7,15 @@ from typing import Final
 
 from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics, columns_of
 from roadperc_stream.schemas.columns.column import Column
+from roadperc_stream.schemas.columns.hindsight import FrameHindsight, TrackHindsightColumns
 from roadperc_stream.schemas.columns.runs import RunRow
 
 _BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table in the page, below the names of the groups of columns it defines."""
 _HEADER: Final = ("column", "meaning", "unit, better", "null where", "relevant", "limit")
 """Only tables of errors have the last two."""
-_GROUPS: Final = {group.__name__: group for group in (*FrameMetrics.__bases__, ObjectMetrics, RunRow)}
+_ROWS: Final = (*FrameMetrics.__bases__, *FrameHindsight.__bases__, ObjectMetrics, TrackHindsightColumns, RunRow)
+_GROUPS: Final = {group.__name__: group for group in _ROWS}
 
 
 def with_tables(page: str) -> str:

@@ -7,7 +7,16 @@ from typing import Final
 
 from rich.console import Console
 
-from roadperc_stream.schemas.columns import COUNT, TIME_COLUMNS, UNITLESS, InputColumns, columns_of, errors, estimates
+from roadperc_stream.schemas.columns import (
+    COUNT,
+    TIME_COLUMNS,
+    UNITLESS,
+    InputColumns,
+    columns_of,
+    errors,
+    estimates,
+    hindsight,
+)
 from roadperc_stream.schemas.columns.column import Better
 
 
@@ -68,6 +77,19 @@ TRUTH: Final = _quantities(
 )
 """Errors against truth."""
 
+HINDSIGHT: Final = _quantities(
+    surface=hindsight.SurfaceHindsightColumns,
+    lanes=hindsight.LaneHindsightColumns,
+    objects=hindsight.ObjectHindsightColumns,
+    odometry=hindsight.OdometryHindsightColumns,
+)
+"""Errors by hindsight, which need no truth."""
+TRUTH_OF: Final = {q.column: q.column.replace("_hindsight_", "_error_") for q in HINDSIGHT}
+"""For each column by hindsight the error against truth."""
+AHEAD: Final = tuple(q.column for q in HINDSIGHT if q.stage in ("surface", "lanes"))
+"""Errors of the place 10 m ahead, which a later frame sees."""
+ERRORS: Final = (*TRUTH, *HINDSIGHT)
+
 TOTAL: Final = Quantity("total_ms", "total", "ms", 2)
 REST: Final = Quantity("rest_ms", "rest", "ms", 2)
 """Time of a frame outside its stages; derived."""
@@ -117,7 +139,7 @@ MEASURED: Final = {
 }
 """The derived columns that have the values of a column only in frames that measured it, by its status column."""
 DERIVED: Final = (REST, LOST, SPEED, *JITTERS, *(Quantity(name, name, "m", 3) for name in MEASURED))
-STORED: Final = tuple(q for q in (*SEEN, *TRUTH, *STAGE_TIMES, SKEW, *OFFSETS) if q != REST)
+STORED: Final = tuple(q for q in (*SEEN, *ERRORS, *STAGE_TIMES, SKEW, *OFFSETS) if q != REST)
 NUMBERS: Final = (*STORED, *DERIVED)
 SUSPECT: Final = (LOST, SEEN[0], TOTAL)
 """Quantities without truth that indicate problems."""
@@ -130,7 +152,7 @@ _BETTER: Final[Mapping[str, Better]] = {
 }
 QUALITY: Final = tuple(replace(q, better=_BETTER[q.column]) for q in (*SEEN, *JITTERS) if q.column in _BETTER)
 """Quantities that describe a stage without truth."""
-RANKED: Final = {quantity.column: quantity for quantity in (*TRUTH, *SUSPECT, *QUALITY)}
+RANKED: Final = {quantity.column: quantity for quantity in (*ERRORS, *SUSPECT, *QUALITY)}
 """Quantities for rankings of frames and logs, by column."""
 COVERED: Final = {
     "surface": "surface measured",
@@ -157,8 +179,9 @@ _CUT: Final = "…"
 
 
 def ranked(present: Container[str]) -> list[Quantity]:
-    """The quantities to rank by: errors among the present columns, else the suspect quantities."""
-    return [q for q in TRUTH if q.column in present] or [q for q in SUSPECT if q.column in present]
+    """The present quantities to rank by: errors against truth, else by hindsight, else the suspect quantities."""
+    found = ([q for q in kind if q.column in present] for kind in (TRUTH, HINDSIGHT, SUSPECT))
+    return next((quantities for quantities in found if quantities), [])
 
 
 def rounded(value: float, quantity: Quantity) -> str:

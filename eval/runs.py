@@ -16,7 +16,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.model.finding import Finding, decoded_findings
 from roadperc_stream.output.tables import arrow_schema, facts_in, sidecar_path
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics
 from roadperc_stream.system.files import METRICS_SUFFIX, OBJECTS_SUFFIX, TABLE_SUFFIX, real_path
 from roadperc_stream.system.text import number, whole_number
 
@@ -93,7 +93,7 @@ def _require_columns_as_written(path: Path) -> None:
 @cache
 def written_columns() -> pl.Schema:
     """Names and types of the columns that a replay writes."""
-    return pl.DataFrame(arrow_schema(FrameMetrics, TIME_COLUMNS).empty_table()).schema
+    return pl.DataFrame(arrow_schema(FrameMetrics, EXTRA_COLUMNS).empty_table()).schema
 
 
 def _fits(name: str, expected: pl.DataType, kind: pl.DataType) -> bool:

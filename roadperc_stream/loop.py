@@ -11,6 +11,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.metrics import frame_metrics, object_metrics
 from roadperc_stream.metrics.evidence import evidence_of
+from roadperc_stream.metrics.hindsight import claims_of
 from roadperc_stream.model import FrameResult, Sample
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import NO_CALLBACKS, Callbacks, FrameOutput, Outputs, ReplaySummary
@@ -52,9 +53,8 @@ def replay(
         if summary is None:
             start = Checkpoint(run_of(opened, target), opened.initial)
             checkpoints = Checkpoints(folder, options.checkpoint_every_s, start, found, force=target.force)
-            target = replace(
-                target, force=target.force or (options.resume and folder.proves_ours(is_complete=target.is_complete))
-            )
+            force = target.force or (options.resume and folder.proves_ours(is_complete=target.is_complete))
+            target = replace(target, force=force)
             summary = _replay_opened(source, target, opened, options, checkpoints, callbacks=callbacks)
         folder.remove()
     return replace(summary, seconds=perf_counter() - started)
@@ -70,7 +70,7 @@ def _replay_opened(
 ) -> ReplaySummary:
     """Replay an opened log; the outputs get their names when all are complete."""
     target.require_free(source.files)
-    outputs = Outputs(target, opened.input.cfg, opened.input, opened.table_facts())
+    outputs = Outputs(target, opened.input, opened.table_facts(), opened.initial.shown.recent)
     checkpoints.begin()
     with one_thread(), all_or_none(*outputs.files):
         frames = _Frames(opened, outputs, checkpoints, callbacks, options)
@@ -136,8 +136,8 @@ class _Frames:
             self._input.require_usable(result)
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
-                objects = object_metrics(self._input.log_id, sample, result)
-                output = FrameOutput(row, tuple(objects), evidence_of(self._cfg, sample.frame, result))
+                objects = tuple(object_metrics(self._input.log_id, sample, result))
+                output = FrameOutput(row, objects, evidence_of(self._cfg, sample.frame, result), claims_of(result))
             self._checkpoints.keep(self._outputs.write(sample, result, output, timer))
         self._earlier = sample.as_earlier
         self._done(sample, ReplayState(chain, self._earlier, self._outputs.shown))

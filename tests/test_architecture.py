@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "chain": BELOW - {"schemas"},
     "metrics": BELOW | {"chain"},
     "input": INPUT,
-    "output": INPUT | {"input"},
+    "output": INPUT | {"input", "metrics"},
     "resume": FRAME,
     "loop": FRAME | {"resume"},
     "api": REPLAY,

@@ -10,6 +10,7 @@ import polars as pl
 
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics, columns_of, errors
+from roadperc_stream.schemas.columns.hindsight import FrameHindsight
 from roadperc_stream.system.text import number as number_of
 from roadperc_stream.system.time import NS_PER_S
 
@@ -126,7 +127,8 @@ def unit_of(criterion: Criterion) -> str:
     """The unit of the statistic with a space before it; empty if it has none."""
     if criterion.statistic == "rate":
         return " per minute"
-    known = {name: column.unit for name, column in columns_of(FrameMetrics).items()} | dict.fromkeys(TIME_COLUMNS, "ms")
+    units = {name: column.unit for row in (FrameMetrics, FrameHindsight) for name, column in columns_of(row).items()}
+    known = units | dict.fromkeys(TIME_COLUMNS, "ms")
     unit = BY_NAME[criterion.metric].unit if criterion.metric else known.get(criterion.column or "", "")
     return "" if unit in UNITLESS or criterion.statistic == "share" else f" {unit}"
 

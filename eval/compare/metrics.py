@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 
-from ..report_columns import JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, Quantity
+from ..report_columns import ERRORS, JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, TRUTH_OF, Quantity
 from ..runs import Run, collect
 from ..scan import objects_of, scan
 from .fields import Overlap
@@ -102,14 +102,15 @@ _COVERING: Final = (
     *((q.column, q.stage) for q in (*SEEN, *OFFSETS, *TRUTH) if columns_of(FrameMetrics)[q.column].compares_coverage),
 )
 METRICS: Final = (
-    *map(_error, (*TRUTH, *JITTERS)),
+    *map(_error, (*ERRORS, *JITTERS)),
     *(_share(f"{name}.{best}", stage, (pl.col(name) == best).fill_null(False)) for name, best, stage in _BEST_STATES),
     *(_share(f"{name}.coverage", stage, pl.col(name).is_not_null()) for name, stage in _COVERING),
     *map(_time, STAGE_TIMES),
 )
 """The metrics on which two runs are judged.
 
-Errors against truth and the jitter of lane boundaries are judged over the frames in which both runs have a value.
+Errors and the jitter of lane boundaries are judged over the frames in which both runs have a value; errors by
+hindsight only without the truth of the same output.
 States and coverage are judged over all common frames, as 1 or 0. For outputs without truth (camera height, lane width,
 inliers) neither side is better, so only the comparison of fields shows them.
 """
@@ -167,8 +168,9 @@ def values_of(pairs: Sequence[RunPair], overlaps: Sequence[Overlap]) -> list[lis
         [_values(metric, pair, table) for pair, (table, _) in zip(pairs, joined, strict=True)]
         for metric in (*METRICS, *map(_of_class, labels))
     ]
-    known = ([log for log in logs if log.base.size] for logs in every)
-    return [logs for logs in known if logs]
+    known = [logs for found in every if (logs := [log for log in found if log.base.size])]
+    names = {logs[0].metric.name for logs in known}
+    return [logs for logs in known if TRUTH_OF.get(logs[0].metric.name) not in names]
 
 
 def _joined(pair: RunPair) -> tuple[pl.DataFrame, set[str]]:

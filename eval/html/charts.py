@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from roadperc_stream.geometry import Float
 
 from ..report.full_tables import better
-from ..report_columns import TRUTH
+from ..report_columns import ERRORS
 from ..trajectory.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
 from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers, thinned
 
 _SHARES: Final = np.linspace(0, 1, 201)
-ERROR_COLUMNS: Final = tuple(quantity.column for quantity in TRUTH)
+ERROR_COLUMNS: Final = tuple(quantity.column for quantity in ERRORS)
 """Columns of the distributions."""
 POSE_COLUMNS: Final = (*ESTIMATED_COLUMNS, *TRUE_COLUMNS)
 """Columns of the trajectory."""
@@ -27,7 +27,7 @@ Paths = dict[str, Float]
 
 def distributions(runs: Sequence[Series]) -> Iterator[Figure]:
     """The cumulative distribution of each error that has values, the runs over each other."""
-    for quantity in TRUTH:
+    for quantity in ERRORS:
         traces = [
             line(run.name, np.nanquantile(run.values[quantity.column], _SHARES), 100 * _SHARES, colour_of(place))
             for place, run in enumerate(runs)

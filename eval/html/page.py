@@ -27,8 +27,9 @@ from ..report.full_tables import full_tables
 from ..report.sources import load, source_of_runs
 from ..report.stages import stages_of
 from ..report.summaries import Summary, WorstFrame, frames_in_segments, groups_of_runs, summarise
-from ..report_columns import percent, with_unit
-from ..runs import Run
+from ..report_columns import AHEAD, percent, with_unit
+from ..runs import Run, collect
+from ..scan import rows_of
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall
@@ -168,10 +169,19 @@ def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[
         pairs = compared.pairing.pairs if compared else ()
         found = next((pair for pair in pairs if frame.run in {pair.base.name, pair.new.name}), None)
         if found is None:
-            return Lead(text, (frame,), command(next(run for run in runs if run.name == frame.run), frame.frame))
+            run = next(run for run in runs if run.name == frame.run)
+            seen = _seen_later(run, frame) if quantity.column in AHEAD else []
+            text += "".join(f"; claimed here, found in frame {later.frame}" for later in seen)
+            return Lead(text, (frame, *seen), command(run, frame.frame))
         pair, text = found, f"{frame.run}, {text}"
     both = [frame for run in (pair.base, pair.new) for frame in frames_of(run, pl.col("stamp_ns") == stamp_ns)[:1]]
     return Lead(text, tuple(both), view_pair_command(pair.base, pair.new, place.frame if place else both[-1].frame))
+
+
+def _seen_later(run: Run, frame: WorstFrame) -> list[WorstFrame]:
+    """The frame that came near the place ahead of a frame."""
+    found = rows_of(run).filter(pl.col("frame") == frame.frame).select("hindsight_frame")
+    return frames_of(run, pl.col("frame") == collect(found, run.source_name).item())
 
 
 def _pictures(found: Gallery, visible: Container[Key]) -> Markup:

@@ -17,7 +17,7 @@ from ..options import Rules
 from ..report.full_tables import ranked_by
 from ..report.stages import judged_stages, stage_figures, worst_of
 from ..report.summaries import Summary, WorstFrame
-from ..report_columns import LOST, TRUTH, Quantity
+from ..report_columns import HINDSIGHT, LOST, TRUTH, Quantity
 from ..runs import Run
 
 BARS: Final = 9
@@ -52,7 +52,10 @@ class Ranked:
 
 def single_sentence(summary: Summary) -> tuple[Mark, str]:
     """The mark of one run, and the stages whose p95 error is beyond its limit."""
-    known = [(q, summary.statistics[q.column]) for q in TRUTH if q.limit is not None and q.column in summary.statistics]
+    limited = (
+        [q for q in kind if q.limit is not None and q.column in summary.statistics] for kind in (TRUTH, HINDSIGHT)
+    )
+    known = [(q, summary.statistics[q.column]) for q in next(filter(None, limited), [])]
     beyond = [q.name for q, s in known if (s.p5 < (q.limit or 0) if q.better == "high" else s.abs_p95 > (q.limit or 0))]
     if not known:
         return "unchanged", "No verdict, because no frame has truth"

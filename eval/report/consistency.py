@@ -29,7 +29,10 @@ _FEWEST_BLOCKS: Final = 8
 
 @dataclass(frozen=True)
 class Judged:
-    """A quantity, its truth and its standard deviation: three columns of a table in the same unit."""
+    """A quantity, its truth and its standard deviation: three columns of a table in the same unit.
+
+    ``truth`` is empty if the quantity is an error already, as those by hindsight.
+    """
 
     estimate: str
     truth: str
@@ -42,12 +45,18 @@ FRAME_QUANTITIES: Final = (
     Judged("lane_heading_deg", "lane_true_heading_deg", "lane_heading_std_deg"),
     Judged("step_m", "true_step_m", "step_std_m"),
     Judged("turn_deg", "true_turn_deg", "turn_std_deg"),
+    Judged("lane_left_hindsight_m", "", "lane_left_hindsight_std_m"),
+    Judged("lane_right_hindsight_m", "", "lane_right_hindsight_std_m"),
+    Judged("step_hindsight_m", "", "step_hindsight_std_m"),
 )
 """Quantities of the table with one row per frame."""
 OBJECT_QUANTITIES: Final = (
     Judged("distance_m", "true_distance_m", "distance_std_m"),
     Judged("closing_speed_mps", "true_closing_speed_mps", "closing_speed_std_mps"),
     Judged("time_to_impact_s", "true_time_to_impact_s", "time_to_impact_std_s"),
+    Judged("object_distance_hindsight_m", "", "object_distance_hindsight_std_m"),
+    Judged("closing_speed_hindsight_mps", "", "closing_speed_hindsight_std_mps"),
+    Judged("time_to_impact_hindsight_s", "", "time_to_impact_hindsight_std_s"),
 )
 """Quantities of the table with one row per detection; only kept detections are used."""
 JUDGED: Final = (*FRAME_QUANTITIES, *OBJECT_QUANTITIES)
@@ -165,7 +174,8 @@ def added(parts: Iterable[Mapping[str, Consistency]]) -> dict[str, Consistency]:
 
 def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
     """(N,) estimate minus truth in units of its deviation, NaN if unknown; and the number of known errors."""
-    estimate, truth, std = (table[name].to_numpy() for name in (judged.estimate, judged.truth, judged.std))
+    estimate, std = (table[name].to_numpy() for name in (judged.estimate, judged.std))
+    truth = table[judged.truth].to_numpy() if judged.truth else 0.0
     with np.errstate(over="ignore", invalid="ignore"):  # tables may hold any number
         error = estimate - truth
         normalised = error / np.where(std > 0, std, np.nan)
@@ -199,4 +209,4 @@ def object_numbers(table: pl.DataFrame) -> NDArray[np.int64]:
 
 
 def _columns(judged: Sequence[Judged]) -> list[str]:
-    return list(dict.fromkeys(name for item in judged for name in (item.estimate, item.truth, item.std)))
+    return list(dict.fromkeys(name for item in judged for name in (item.estimate, item.truth, item.std) if name))

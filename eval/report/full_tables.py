@@ -16,6 +16,7 @@ from ..report_columns import (
     CATEGORIES,
     CONFUSED,
     COUNTED,
+    ERRORS,
     SEEN,
     SIDES,
     STAGE_TIMES,
@@ -127,11 +128,11 @@ def missing_outputs(summaries: Summaries, *, vary_only: bool = False) -> Table:
 def accuracy(summaries: Summaries) -> Table:
     """Errors (estimate minus truth) beside coverage; a note names the quantities without truth."""
     headers = ("frames %", "bias", "median", "p95", "worst")
-    rows = dict(_quantities(summaries, TRUTH, _accuracy))
+    rows = dict(_quantities(summaries, ERRORS, _accuracy))
     absent = [q.column for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
     without = [f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []
     notes = (_ERRORS, _COVERAGE, *without)
-    about = {q.column: f"{q.label}; {better(q)}" for q in TRUTH}
+    about = {q.column: f"{q.label}; {better(q)}" for q in ERRORS}
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,), about=about)
 
 
@@ -186,7 +187,7 @@ def ranked_by(summaries: Summaries) -> list[Quantity]:
 
 def no_values(summaries: Summaries) -> str:
     """The columns that are null in every frame, except truth and times."""
-    apart = {quantity.column for quantity in (*STAGE_TIMES, *TRUTH)}
+    apart = {quantity.column for quantity in (*STAGE_TIMES, *ERRORS)}
     names = [*(q.column for q in STORED if q.column not in apart), *CATEGORIES]
     present = {name for name in names for s in summaries if name in s.statistics or s.categories.get(name)}
     return ", ".join(_collapsed([name for name in names if name not in present], present))

@@ -29,7 +29,7 @@ from ..dataset.place import Dataset, dataset_at, metrics_files, read_runs
 from ..findings import Found, finding_counts, findings_of, findings_of_dataset, report_lines
 from ..frame_commands import view_command, view_dataset_command
 from ..options import ReportOptions, Rules
-from ..report_columns import SKEW, TRUTH, Quantity, legend, name_columns, percent, short_names, with_unit
+from ..report_columns import HINDSIGHT, SKEW, TRUTH, Quantity, legend, name_columns, percent, short_names, with_unit
 from ..results import ResultFiles, Results
 from ..runs import Run
 from ..trajectory.trajectory import in_short
@@ -46,9 +46,11 @@ from .dataset_lines import (
 )
 from .full_tables import LISTED, accuracy, full_tables, latency, missing_outputs, worst_frames
 from .grouping import configuration_columns, grouped_frames
+from .hindsight import hindsight_table
 from .objects import object_slices, of_objects
 from .sources import Frames, FrameSource, load, source_of_dataset, source_of_runs
 from .stages import (
+    BY_HINDSIGHT,
     COLUMNS,
     NO_TRUTH,
     RUNS_SHOWN,
@@ -248,9 +250,10 @@ def _of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: 
     lines += [] if others else [latency_line(first)]
     values = {summary.name: values_of(summary, figures[summary.name], command) for summary in summaries}
     cases = [case for name, found in figures.items() for case in cases_of(name, found)]
-    truth = any(quantity.column in summary.statistics for quantity in TRUTH for summary in summaries)
+    present = {column for summary in summaries for column in summary.statistics}
+    truth, later = ([q for q in kind if q.column in present] for kind in (TRUTH, HINDSIGHT))
     heights = dict.fromkeys(filter(None, map(assumed_height, summaries)))
-    head = (*(() if truth else (NO_TRUTH,)), *heights)
+    head = (*(() if truth else (BY_HINDSIGHT if later else NO_TRUTH,)), *heights)
     return Results("report", title, head, tables, lines, {kind: values}, cases)
 
 
@@ -300,7 +303,7 @@ def _full_of_runs(subject: Subject, worst: int) -> Results:
     else:
         tables += [_contents(by_run), settings_table({group.name: group.example for group in groups})]
         tables += [_runs_table(by_run, tuple(legend(short))), *_extents(together)]
-    tables += [*full_tables(together), worst_frames(together)]
+    tables += [*full_tables(together), *_believed(frames), worst_frames(together)]
     if len(runs) > 1:
         tables += rows_tables("Run", by_run)
     if len(runs) > len(groups):
@@ -319,7 +322,7 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
     summaries = [replace(summary, name=names[summary.name]) for summary in summaries]
     tables: list[Table | str] = [settings_of_dataset(frames, subject.listed)] if dataset else []
     tables += [_groups_table(summaries, by, tuple(legend(names)))] if by else _extents(summaries)
-    tables += [*full_tables(summaries), *([] if dataset else [worst_frames(summaries)])]
+    tables += [*full_tables(summaries), *_believed(frames), *([] if dataset else [worst_frames(summaries)])]
     tables += _left_out({"group": summaries})
     if worst is None:
         return Results("report", "Report", [_sliced(frames, groups, by)], tables)
@@ -334,6 +337,12 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
     shown = {run: short[name] for run, name in full.items()}
     tables += [worst_logs_table(worst, shown), least_covered_table(worst, shown)]
     return Results("report", "Report", _head(subject, frames, FAILED_LISTED), tables, ("", *log_paths(frames, [*runs])))
+
+
+def _believed(frames: Frames) -> Iterator[Table]:
+    """The table on hindsight, if the log has truth."""
+    if (found := hindsight_table(frames)).rows:
+        yield found
 
 
 def _head(subject: Subject, frames: Frames, failed: int) -> list[str]:

@@ -174,6 +174,8 @@ class Frames:
             while columns:
                 column = columns.pop()  # frees the memory of each column after its use
                 yield column.name, column.to_numpy()
+        if not derived:
+            return
         table = self.beside(name for column in derived.values() for name in column.meta.root_names())
         for name, expression in derived.items():
             yield name, table.select(expression).to_series().to_numpy()

@@ -1,15 +1,16 @@
 """The short report: coverage, error and worst frame of each stage, as a table, as lines, and for other programs."""
 
 import math
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from roadperc_stream.output.reason_counts import ranked as ranked_reasons
 from roadperc_stream.output.text_table import Row, Table, rows_of_subjects
 from roadperc_stream.schemas.columns import UNITLESS, FrameMetrics
+from roadperc_stream.schemas.columns.hindsight import FRAME_HINDSIGHT
 
-from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, Quantity, percent, rounded, with_unit
+from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, TRUTH_OF, Quantity, percent, rounded, with_unit
 from ..results import Case
 from .summaries import Summary, WorstFrame
 
@@ -20,7 +21,8 @@ LISTED: Final = 10
 RUNS_SHOWN: Final = 6
 """Most runs in the short report of several runs, which has at most 15 lines."""
 NO_TRUTH: Final = "No frame has truth: the figures are the stages' own quality numbers, not errors."
-_STORED: Final = frozenset(column.name for column in fields(FrameMetrics))
+BY_HINDSIGHT: Final = "No frame has truth: the errors are by hindsight, against what later frames found."
+_STORED: Final = frozenset((*(column.name for column in fields(FrameMetrics)), *FRAME_HINDSIGHT))
 _KNOWN: Final = {quantity.column: quantity for quantity in (*NUMBERS, *QUALITY)}
 
 
@@ -40,6 +42,11 @@ class _Stage:
     source: str
     status: str
     states: tuple[str, ...] = ("held",)
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """The columns of its error: against truth, and by hindsight if there is one."""
+        return (self.error, *(name for name, truth in TRUTH_OF.items() if truth == self.error))
 
 
 _HEIGHT: Final = "camera_height_m"
@@ -64,7 +71,7 @@ TRUE_POSES: Final = "turn_error_deg"
 """A column with values if the log has true poses."""
 COLUMNS: Final = frozenset(
     (
-        *(column for of in _STAGES.values() for column in (of.error, of.quality, of.telling)),
+        *(column for of in _STAGES.values() for column in (*of.errors, of.quality, of.telling)),
         *(*COVERED.values(), "step_m", TRUE_POSES, TOTAL.column),
     )
 )
@@ -129,21 +136,22 @@ class StageFigures:
         return names | (known | frame if self.median is not None else {"reason": self.reason}) | more
 
 
-def judged_stages(summaries: Iterable[Summary]) -> frozenset[str]:
-    """The stages that have an error against truth in any summary."""
+def judged_stages(summaries: Iterable[Summary]) -> dict[str, str]:
+    """The stages that have an error in any summary, and its column: against truth, else by hindsight."""
     found = {column for summary in summaries for column in summary.statistics}
-    return frozenset(stage for stage, of in _STAGES.items() if of.error in found)
+    errors = {stage: [name for name in of.errors if name in found] for stage, of in _STAGES.items()}
+    return {stage: names[0] for stage, names in errors.items() if names}
 
 
-def stage_figures(summary: Summary, judged: Container[str]) -> tuple[StageFigures, ...]:
-    """The figures of each stage with a value or a reason in any frame: errors of ``judged`` stages, else quality."""
-    figures = (_figures(summary, stage, judged=stage in judged) for stage in _STAGES)
+def stage_figures(summary: Summary, judged: Mapping[str, str]) -> tuple[StageFigures, ...]:
+    """The figures of each stage with a value or a reason in any frame: the errors ``judged``, else its quality."""
+    figures = (_figures(summary, stage, judged.get(stage)) for stage in _STAGES)
     return tuple(found for found in figures if found.coverage > 0 or found.median is not None or found.reason)
 
 
-def _figures(summary: Summary, stage: str, *, judged: bool) -> StageFigures:
+def _figures(summary: Summary, stage: str, error: str | None) -> StageFigures:
     of = _STAGES[stage]
-    quantity = _KNOWN[of.error if judged else of.quality]
+    quantity = _KNOWN[error or of.quality]
     states = _states(summary, of)
     figures = StageFigures(
         stage,
@@ -151,7 +159,7 @@ def _figures(summary: Summary, stage: str, *, judged: bool) -> StageFigures:
         quantity,
         reason=_reason(summary, of) if quantity.column not in summary.statistics or "lost" in states else "",
         states=states,
-        telling=None if judged else _telling(summary, of),
+        telling=None if error == of.error else _telling(summary, of),
     )
     found = summary.statistics.get(quantity.column)
     if found is None:
@@ -199,7 +207,7 @@ def stages_of(summaries: Sequence[Summary]) -> Table:
     return stage_table({summary.name: stage_figures(summary, judged) for summary in summaries}, judged)
 
 
-def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Container[str]) -> Table:
+def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Mapping[str, str]) -> Table:
     """A row for each stage, then a row for each state of its frames, and for the value that tells its scale.
 
     ``figures`` are those of each subject, by its name.
@@ -281,7 +289,7 @@ def rows_tables(title: str, summaries: Sequence[Summary], *, of_runs: bool = Fal
     stages = [stage for stage in _STAGES if any(stage in figures for figures in found.values())]
     ordered = sorted(summaries, key=lambda summary: -max((f.badness for f in found[summary.name].values()), default=0))
     shown = ordered[: RUNS_SHOWN if of_runs else LISTED]
-    units = {stage: _KNOWN[_STAGES[stage].error if stage in judged else _STAGES[stage].quality] for stage in stages}
+    units = {stage: _KNOWN[judged.get(stage, _STAGES[stage].quality)] for stage in stages}
     headers = [f"{_NARROW.get(stage, stage)}{'' if q.unit in UNITLESS else f' {q.unit}'}" for stage, q in units.items()]
     tails: list[Row] = []
     covered: list[Row] = []
@@ -292,7 +300,7 @@ def rows_tables(title: str, summaries: Sequence[Summary], *, of_runs: bool = Fal
     if len(covered) > 1 and len({row[1:] for row in covered}) == 1:
         covered = [("each row", *covered[0][1:])]
     notes = (f"listed: the worst {len(shown)} of {len(summaries)}",) if len(summaries) > len(shown) else ()
-    kinds = "p95 error" if judged.issuperset(stages) else "p95 or p5"
+    kinds = "p95 error" if judged.keys() >= {*stages} else "p95 or p5"
     columns = f"columns: {', '.join(q.column for q in units.values())}"
     notes = (*notes, columns)
     if of_runs:

@@ -17,7 +17,7 @@ from roadperc_stream.output.tables import Scalar
 from roadperc_stream.schemas.columns import RATIO, TIME_COLUMNS
 
 from ..compare.metrics import METRICS as COMPARED
-from ..report_columns import JITTERS, SIDES, TOTAL, TRUTH, Quantity
+from ..report_columns import ERRORS, JITTERS, SIDES, TOTAL, Quantity
 from ..runs import reading
 from ..scan import finite, neighbour_columns
 from .combinations import Combination
@@ -93,7 +93,7 @@ def _state(column: str, state: str, name: str) -> SweepMetric:
 
 
 METRICS: Final = (
-    *(_typical(quantity) for quantity in TRUTH),
+    *(_typical(quantity) for quantity in ERRORS),
     _share("camera_height_m", "surface coverage"),
     _share("drivable_ratio", "drivable coverage"),
     *(_state(f"lane_{side}_status", "measured", f"lane {side} measured") for side in SIDES),
@@ -102,7 +102,7 @@ METRICS: Final = (
     _state("odometry_status", "tracked", "odometry tracked"),
     replace(_typical(replace(TOTAL, name="time a frame", decimals=0)), noise=TIME_NOISE),
 )
-"""The errors against truth, and the metrics that need no truth."""
+"""The errors against truth and by hindsight, and the metrics that need no errors."""
 
 
 def scores(tables: Sequence[Path], made: Sequence[Combination], metric: SweepMetric) -> list[SettingScore]:

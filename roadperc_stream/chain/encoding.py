@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.errors import StateError
 
-FORMAT_VERSION: Final = 13
+FORMAT_VERSION: Final = 14
 """Raise it with every change to the contents of a state; otherwise an older state would be misread."""
 MOST_BYTES: Final = 256 * 1024**2
 """Limit on the size of an uncompressed state; the state of a long log with large images has some megabytes."""

@@ -3,19 +3,22 @@
 import hashlib
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from roadperc_stream import __version__
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import TableError
+from roadperc_stream.geometry import Float
 from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import cells
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
@@ -226,6 +229,13 @@ def _opened(path: Path | str, data: pa.BufferReader | None = None) -> Iterator[p
         raise TableError(f"{path}: not a table of a replay, or truncated") from error
 
 
+def _numpy(column: pa.ChunkedArray) -> NDArray[Any]:
+    if column.type == pa.string():  # Arrow's fill_null would need its compute module, which takes 40 ms
+        return np.array([text or "" for text in column.to_pylist()], str)
+    values: NDArray[Any] = column.to_numpy()
+    return values
+
+
 class TableWriter:
     """Writes rows to a Parquet file, which gets its name only when complete. Use it as a context manager.
 
@@ -241,7 +251,7 @@ class TableWriter:
         constant: Mapping[str, Scalar] | None = None,
     ) -> None:
         self._path = path
-        self._temporary = partial_of(path)
+        self._temporary, self._before = partial_of(path), partial_of(path, ".rows")
         self._constant = dict(constant or {})
         self._schema = arrow_schema(row_type, extra, facts, self._constant)
         self._rows: list[dict[str, Any]] = []
@@ -273,6 +283,41 @@ class TableWriter:
         """Add entries to the footer, known only after the last row."""
         self._writer.add_key_value_metadata(_encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()}))
 
+    def columns(self, names: Sequence[str], earlier: Iterable[Any] = ()) -> dict[str, NDArray[Any]]:
+        """Columns of all rows, after those of ``earlier`` rows of the same type; only ``fill`` may follow.
+
+        Unknown numbers are NaN, unknown texts empty.
+
+        Raises:
+            TargetError: the file cannot be written.
+        """
+        self._flush()
+        with target_errors(self._path):
+            self._writer.close()
+            with pq.ParquetFile(self._temporary) as written:  # read_table would import more of Arrow
+                table = written.read(list(names), use_threads=False)
+        before = pa.Table.from_pylist([{name: cells(row)[name] for name in names} for row in earlier], table.schema)
+        joined = pa.concat_tables([before, table])
+        return {name: _numpy(joined[name]) for name in names}
+
+    def fill(self, columns: Mapping[str, Float]) -> None:
+        """Give float columns their values, known only after the last row: (N,), NaN becomes null.
+
+        Raises:
+            TargetError: the file cannot be written.
+        """
+        begin = 0
+        with target_errors(self._path), pq.ParquetFile(self._temporary.replace(self._before)) as table:
+            self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
+            for number in range(table.num_row_groups):
+                group = table.read_row_group(number, use_threads=False)
+                for name, values in columns.items():
+                    part = pa.array(values[begin : begin + len(group)], from_pandas=True)
+                    group = group.set_column(group.schema.get_field_index(name), self._schema.field(name), part)
+                self._writer.write_table(group)
+                begin += len(group)
+            self._before.unlink()
+
     def complete(self) -> None:
         """Write the remaining rows and the footer; only the rename is left.
 
@@ -300,3 +345,4 @@ class TableWriter:
         """Remove the partial file; errors are ignored, since an unwritable folder has no partial file."""
         with suppress(OSError):
             self._temporary.unlink(missing_ok=True)
+            self._before.unlink(missing_ok=True)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from roadperc_stream import __version__
-from roadperc_stream.config import ReplayConfig
 from roadperc_stream.geometry import Float
 from roadperc_stream.input.replay_input import ReplayInput
 from roadperc_stream.log import Attachment, Channel, LogWriter, Message, MessageCopy, Metadata, Piece
@@ -13,12 +12,14 @@ from roadperc_stream.model import FrameResult, Odometry, Reason, Sample
 from roadperc_stream.model.finding import Evidence, Finding, encoded_findings
 from roadperc_stream.output.drawing.on_request import picture_messages
 from roadperc_stream.output.findings import Contradictions, undecodable
+from roadperc_stream.output.hindsight import RECENT_NS, Hindsight, Recent
 from roadperc_stream.output.reason_counts import ReasonCounts, merged, of_frame, throughout
 from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.columns.hindsight import TRACK_HINDSIGHT
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.progress import Progress, StageTimer, no_progress
@@ -49,38 +50,42 @@ NO_CALLBACKS: Final = Callbacks()
 
 @dataclass(frozen=True)
 class Shown:
-    """Facts of earlier frames that the messages of a frame show.
+    """Facts of earlier frames that the messages of a frame show, and that the tables need at the end.
 
     ``trajectory`` are the latest known poses odom_T_ego, ``reasons`` those of the previous frame, ``first_ns`` the
-    stamp of the first frame.
+    stamp of the first frame, ``recent`` the rows of the last second.
     """
 
     trajectory: tuple[Float, ...] = ()
     reasons: tuple[Reason, ...] = ()
     first_ns: int | None = None
+    recent: tuple[Recent, ...] = ()
 
     def __post_init__(self) -> None:
         if any(pose.shape != (4, 4) for pose in self.trajectory):
             raise ValueError("trajectory: expected poses of shape (4, 4)")
 
-    def after(self, result: FrameResult, reasons: tuple[Reason, ...]) -> "Shown":
+    def after(self, result: FrameResult, row: FrameMetrics, objects: tuple[ObjectMetrics, ...]) -> "Shown":
         """The facts after one more frame, with its pose if known."""
         poses = self.trajectory
         if isinstance(result.odometry, Odometry) and result.odometry.has_pose:
             poses = (*poses, result.odometry.odom_T_ego)[-TRAJECTORY_POSES:]
-        return Shown(poses, reasons, result.stamp_ns if self.first_ns is None else self.first_ns)
+        recent = tuple(item for item in self.recent if abs(row.stamp_ns - item[0].stamp_ns) <= RECENT_NS)
+        first_ns = result.stamp_ns if self.first_ns is None else self.first_ns
+        return Shown(poses, row.reasons, first_ns, (*recent, (row, objects)))
 
 
 @dataclass(frozen=True)
 class FrameOutput:
     """The output of one frame: topic and bytes of its messages, its row with time columns, rows of its objects.
 
-    ``evidence`` is for the findings of the whole replay.
+    ``evidence`` is for the findings of the whole replay, ``claims`` for its errors by hindsight.
     """
 
     row: FrameMetrics
     objects: tuple[ObjectMetrics, ...] = ()
     evidence: Evidence = field(default_factory=Evidence)
+    claims: tuple[float, ...] = ()
     messages: tuple[tuple[str, bytes], ...] = ()
     times_ms: Mapping[str, float] = field(default_factory=dict)
 
@@ -140,17 +145,24 @@ class Outputs:
     ``shown`` are the facts of earlier frames for the messages of the next frame.
     """
 
-    def __init__(self, target: ReplayTarget, cfg: ReplayConfig, log_in: ReplayInput, facts: Mapping[str, str]) -> None:
-        """Name the files."""
-        self._target, self._cfg, self._input = target, cfg, log_in
+    def __init__(
+        self,
+        target: ReplayTarget,
+        log_in: ReplayInput,
+        facts: Mapping[str, str],
+        earlier: tuple[Recent, ...] = (),
+    ) -> None:
+        """Name the files; ``earlier`` are the last rows of the replay that this one continues."""
+        self._target, self._cfg, self._input = target, (cfg := log_in.cfg), log_in
         facts = table_facts(log_in.summary.path, target.path, cfg, facts, log_in.networks)
-        self._frames = TableWriter(target.metrics, FrameMetrics, facts, TIME_COLUMNS)
-        self._objects = TableWriter(target.objects, ObjectMetrics, facts)
+        self._frames = TableWriter(target.metrics, FrameMetrics, facts, EXTRA_COLUMNS)
+        self._objects = TableWriter(target.objects, ObjectMetrics, facts, TRACK_HINDSIGHT)
         self._log = LogWriter(target.path, log_in.summary.profile)
         self.files = (self._log, self._objects, self._frames)
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
         self._reasons: ReasonCounts = {}
         self._contradictions = Contradictions()
+        self._hindsight = Hindsight(earlier, cfg.objects.process_noise)
         self._findings: tuple[Finding, ...] = ()
         self._frames_before = 0
         self._resumed_ns: int | None = None
@@ -174,7 +186,7 @@ class Outputs:
         with timer("copy"):
             self._copy.through(sample.log_time_ns)
         with timer("encode"):
-            messages = self._messages(sample, result, output.row)
+            messages = self._messages(sample, result, output)
         with timer("write"):
             self._write_messages(sample, messages)
         timer.end()
@@ -189,9 +201,10 @@ class Outputs:
         self._append(output)
         self._frames_before, self._resumed_ns = self._frames_before + 1, sample.log_time_ns
 
-    def _messages(self, sample: Sample, result: FrameResult, row: FrameMetrics) -> tuple[tuple[str, bytes], ...]:
+    def _messages(self, sample: Sample, result: FrameResult, output: FrameOutput) -> tuple[tuple[str, bytes], ...]:
         """Topics and bytes of a frame's results and pictures."""
-        known_reasons, self.shown = self.shown.reasons, self.shown.after(result, row.reasons)
+        row, known_reasons = output.row, self.shown.reasons
+        self.shown = self.shown.after(result, row, output.objects)
         return (
             *result_messages(sample, result, row, known_reasons, self.shown.trajectory),
             *picture_messages(self._target.on_request, sample, result, row, self.shown.first_ns or 0),
@@ -206,6 +219,7 @@ class Outputs:
         if self._on_frame is not None:
             self._on_frame(output.row, output.times_ms)
         self._contradictions.add(output.row, output.evidence)
+        self._hindsight.add(output.claims)
         self._reasons = merged((self._reasons, of_frame(output.row.reasons)))
         self._frames.append(output.row, **output.times_ms)
         for item in output.objects:
@@ -234,6 +248,7 @@ class Outputs:
         stored = {record.FINDINGS_KEY: encoded_findings(self._findings)}
         mounting_m = self._contradictions.mounting_m
         known = {} if mounting_m is None else {record.MOUNTING_KEY: repr(mounting_m)}
+        self._hindsight.fill(self._frames, self._objects)
         self._frames.add_facts({**stored, **known})
         made = {record.VERSION_KEY: __version__, record.SEED_KEY: str(self._cfg.seed)}
         values = {**made, **facts, **self._input.record(), **(stored if self._findings else {})}

@@ -13,7 +13,7 @@ from roadperc_stream.system.time import TimeRange
 from tests import logs
 from tests.analytic import STEP_NS
 from tests.replaying import replay
-from tests.resume.parts import cut, replayed, rows, write
+from tests.resume.parts import assert_same_rows, cut, replayed, rows, write
 from tests.resume.test_kills import interrupt, same
 from tests.steps import step
 
@@ -115,7 +115,7 @@ def test_a_note_counts_the_frames_and_their_odometry_is_null(whole):
 def test_continued_and_resumed_replays_know_that_the_image_repeats(frozen, whole, tmp_path):
     target, summary = whole
     ends = [logs.START_NS + k * STEP_NS + 1 for k in (10, 13)]
-    assert rows(replayed(tmp_path, cut(frozen, ends), SMALL), "metrics").equals(rows([target], "metrics"))
+    assert_same_rows(rows(replayed(tmp_path, cut(frozen, ends), SMALL), "metrics"), rows([target], "metrics"))
     again = tmp_path / "again.mcap"
     interrupt(target.with_name("in.mcap"), again, 15, SMALL)
     assert notes_on_frames(replay(target.with_name("in.mcap"), again, SMALL, **RESUMED)) == notes_on_frames(summary)

@@ -10,7 +10,8 @@ from roadperc_stream.eval.report.sources import load, source_of_runs
 from roadperc_stream.eval.report.summaries import Summary, groups_of_runs, summarise
 from roadperc_stream.eval.runs import Run, find_runs
 from roadperc_stream.output.tables import TableWriter, arrow_schema
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.columns.hindsight import TRACK_HINDSIGHT
 
 STEP_NS = 50_000_000
 START_NS = 1_577_836_800_000_000_000
@@ -34,7 +35,7 @@ def write(
     """
     facts = {"config_digest": config, "version": "1.2.3", "log": "out.mcap", **more}
     facts = {f"roadperc.{key}": value for key, value in facts.items()}
-    with TableWriter(path, FrameMetrics, facts, TIME_COLUMNS) as table:
+    with TableWriter(path, FrameMetrics, facts, EXTRA_COLUMNS) as table:
         for index, item in enumerate(rows):
             table.append(item, **(times[index] if times else {"total_ms": 10.0}))
     return path
@@ -63,7 +64,7 @@ def outcome(main: Callable[[list[str]], int], capsys, *arguments) -> tuple[int, 
 
 def object_rows(columns):
     """A table of objects with some columns; the others are null."""
-    known = pl.DataFrame(arrow_schema(ObjectMetrics).empty_table()).schema
+    known = pl.DataFrame(arrow_schema(ObjectMetrics, TRACK_HINDSIGHT).empty_table()).schema
     others = [pl.lit(None, kind).alias(name) for name, kind in known.items() if name not in columns]
     return pl.DataFrame(columns).with_columns(others)
 

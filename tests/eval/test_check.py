@@ -210,8 +210,10 @@ def sample(tmp_path_factory):
 
 def test_the_default_criteria_pass_on_the_sample(sample, capsys):
     code, out, _ = outcome(check.main, capsys, sample)
-    assert (code, out.count("\n")) == (0, 2), out
-    assert len(read_criteria(DEFAULT_CRITERIA)) == 13
+    assert code == 0, out
+    skipped = [line for line in out.splitlines() if line.startswith("skipped")]
+    assert skipped == [line for line in skipped if "hindsight" in line], "ten frames have truth, but no later frames"
+    assert f"{len(read_criteria(DEFAULT_CRITERIA)) - out.count('hindsight')} passed, 0 failed" in out
 
 
 def test_written_criteria_pass_on_their_runs_and_fail_on_worse_ones(sample, capsys, tmp_path):

@@ -11,7 +11,8 @@ import pytest
 from roadperc_stream.eval.metrics_page import with_tables
 from roadperc_stream.eval.report_columns import DERIVED, NUMBERS
 from roadperc_stream.output.tables import arrow_schema
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, ObjectMetrics, columns_of
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, TIME_COLUMNS, FrameMetrics, ObjectMetrics, columns_of
+from roadperc_stream.schemas.columns.hindsight import FRAME_HINDSIGHT, TRACK_HINDSIGHT, FrameHindsight
 from roadperc_stream.schemas.row_messages import FrameMetrics as FrameMetricsProto
 
 PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
@@ -48,17 +49,16 @@ def test_the_message_has_the_columns_in_the_order_of_the_table():
 
 
 def test_the_table_has_every_column_in_its_order():
-    schema = arrow_schema(FrameMetrics, TIME_COLUMNS)
-    assert schema.names == [*columns_of(FrameMetrics), *TIME_COLUMNS]
+    schema = arrow_schema(FrameMetrics, EXTRA_COLUMNS)
+    assert schema.names == [*columns_of(FrameMetrics), *columns_of(FrameHindsight), *TIME_COLUMNS]
     assert schema.field("missing").type == pa.list_(pa.string())
     assert not schema.field("stamp_ns").nullable
     assert schema.field("lane_width_m").nullable
     assert schema.names[:4] == ["log_id", "frame", "stamp_ns", "surface_inlier_ratio"]
-    assert schema.names[-len(TIME_COLUMNS) - 2 :][:2] == ["reasons", "reason_codes"]
 
 
 def test_labels_of_reports_are_unique():
-    columns = {**columns_of(FrameMetrics), **dict.fromkeys(TIME_COLUMNS)}
+    columns = {**columns_of(FrameMetrics), **columns_of(FrameHindsight), **dict.fromkeys(TIME_COLUMNS)}
     stored = [quantity for quantity in NUMBERS if quantity not in DERIVED]
     assert {quantity.column for quantity in stored} <= columns.keys()
     assert {name for name, column in columns.items() if column and column.label} <= {q.column for q in stored}
@@ -67,5 +67,5 @@ def test_labels_of_reports_are_unique():
 def test_the_page_defines_every_column():
     page = PAGE.read_text(encoding="utf-8")
     assert page == with_tables(page), "run `make pages`"
-    for name in (*columns_of(FrameMetrics), *columns_of(ObjectMetrics)):
+    for name in (*columns_of(FrameMetrics), *columns_of(ObjectMetrics), *FRAME_HINDSIGHT, *TRACK_HINDSIGHT):
         assert re.search(rf"^\| (`\w+`, )*`{name}`[, |]", page, re.MULTILINE), name

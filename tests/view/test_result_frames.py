@@ -17,7 +17,7 @@ from roadperc_stream.model import Absent, Boundary, Lanes
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.output.tables import ROW_GROUP_ROWS, TableWriter
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics
 from roadperc_stream.view.result_frames import ReplayTimes, TableTimes, read_frame, read_frames, read_rows
 from roadperc_stream.view.video import write_video
 from tests import logs
@@ -30,7 +30,7 @@ FRAMES = 2 * ROW_GROUP_ROWS + 10
 def path(tmp_path_factory):
     """A table of three row groups without lanes and with surface in even frames only."""
     path = tmp_path_factory.mktemp("times") / "out.metrics.parquet"
-    with TableWriter(path, FrameMetrics, {}, TIME_COLUMNS) as writer:
+    with TableWriter(path, FrameMetrics, {}, EXTRA_COLUMNS) as writer:
         for frame in range(FRAMES):
             surface = {} if frame % 2 else {"surface_ms": 1.5}
             writer.append(FrameMetrics("log", frame, 10 * frame), total_ms=float(frame), **surface)
@@ -48,7 +48,7 @@ def test_missing_frames_and_tables_have_no_times(path, tmp_path):
     for log_id, frame in (("another", 5), ("log", FRAMES), ("log", -1)):
         assert TableTimes(path).of(log_id, frame) == {}
     assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {}
-    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, TIME_COLUMNS):
+    with TableWriter(tmp_path / "out.metrics.parquet", FrameMetrics, {}, EXTRA_COLUMNS):
         pass
     assert TableTimes(tmp_path / "out.metrics.parquet").of("log", 0) == {}
 

@@ -20,7 +20,7 @@ from roadperc_stream.model import Reason
 from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
 from roadperc_stream.output.text_table import Table
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics, columns_of
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, TIME_COLUMNS, FrameMetrics, columns_of
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 
 from .replays import cost_of
@@ -93,7 +93,7 @@ def run_row(**known: object) -> RunRow:
 
 
 def _write(path: Path, index: int, rows: int, config: str) -> None:
-    schema = arrow_schema(FrameMetrics, TIME_COLUMNS, _FACTS, {"config": config})
+    schema = arrow_schema(FrameMetrics, EXTRA_COLUMNS, _FACTS, {"config": config})
     rng = np.random.default_rng(index)
     columns = {field.name: _values(field, rng, rows) for field in schema}
     columns["log_id"] = pa.array([f"{index:016x}"] * rows)

@@ -7,6 +7,7 @@ the same fields.
 
 from roadperc_stream.schemas.columns.column import COUNT, RATIO, UNITLESS, Column, columns_of, row_of
 from roadperc_stream.schemas.columns.frame import (
+    EXTRA_COLUMNS,
     TIME_COLUMNS,
     FrameKey,
     FrameMetrics,

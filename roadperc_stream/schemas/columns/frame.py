@@ -6,6 +6,7 @@ from typing import Annotated, Any, Final
 from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import errors, estimates
 from roadperc_stream.schemas.columns.column import RATIO, Column
+from roadperc_stream.schemas.columns.hindsight import FRAME_HINDSIGHT
 
 TIMED_STAGES: Final = (
     *("read", "decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy"),
@@ -14,7 +15,9 @@ TIMED_STAGES: Final = (
 """Timed steps of a frame: reading its messages, decoding its pixels, the chain's stages, its metrics, copying the input
 up to it, encoding its results, writing them, and the sum."""
 TIME_COLUMNS: Final = tuple(f"{stage}_ms" for stage in TIMED_STAGES)
-"""Milliseconds of each step, null if it did not run. They are only in the Parquet table, after the row."""
+"""Milliseconds of each step, null if it did not run."""
+EXTRA_COLUMNS: Final = (*FRAME_HINDSIGHT, *TIME_COLUMNS)
+"""Columns that are only in the Parquet table, after the row."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import polars as pl
 
 from roadperc_stream.output.tables import TableWriter
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 from roadperc_stream.tools.bench.report import run_row
 from tests.eval.tables import row
@@ -33,7 +33,7 @@ def add_table(folder, rows, config=A, date=DATE, name=None, settings=""):
     """A table of a log as a batch writes it; 10 ms each frame."""
     path = folder / "metrics" / f"date={date}" / (name or f"{rows[0].log_id}-{config}.parquet")
     facts = {"roadperc.config_digest": config * 8, "roadperc.version": VERSION, "roadperc.config": settings}
-    with TableWriter(path, FrameMetrics, facts, TIME_COLUMNS, {"config": config}) as table:
+    with TableWriter(path, FrameMetrics, facts, EXTRA_COLUMNS, {"config": config}) as table:
         for item in rows:
             table.append(item, total_ms=10.0)
     return path

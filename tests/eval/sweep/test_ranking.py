@@ -11,7 +11,7 @@ from roadperc_stream.eval.sweep.combinations import combinations, reference_of
 from roadperc_stream.eval.sweep.ranking import METRICS, SettingScore, best, effect, scores
 from roadperc_stream.eval.sweep.sweep import best_settings, effects, without_effect
 from roadperc_stream.output.tables import TableWriter
-from roadperc_stream.schemas.columns import TIME_COLUMNS, FrameMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics
 from tests.eval.tables import row
 
 ERROR = next(metric for metric in METRICS if metric.quantity.column == "lane_left_error_m")
@@ -34,7 +34,7 @@ def dataset(folder, columns, count=2):
     for item, rows in zip(GATES, columns, strict=True):
         for name in range(count):
             path = folder / item.folder / f"{name}.metrics.parquet"
-            with TableWriter(path, FrameMetrics, {}, TIME_COLUMNS, item.settings) as table:
+            with TableWriter(path, FrameMetrics, {}, EXTRA_COLUMNS, item.settings) as table:
                 for frame, values in enumerate(rows):
                     table.append(row(frame, **values), total_ms=10.0)
     return sorted(folder.rglob("*.parquet"))
