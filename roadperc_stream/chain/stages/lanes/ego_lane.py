@@ -54,7 +54,7 @@ def _boundary(
     if tracked is None or reason is not None:
         return Boundary(side, "lost", raw_px=raw_px, raw_offset_m=raw_offset_m, reason=reason)
     track = tracked.track
-    offset, heading, curvature = (float(value) for value in track.state)
+    offset, heading, curvature = (float(value) for value in track.reported_state)
     ahead, pixels = _drawn_curve(tracked, projection)
     return Boundary(
         side,

@@ -43,6 +43,10 @@ _BLIND_M = 4.0
 _BEND_M = 10.0
 """The first metres ahead are not visible. If the road bends beyond them, the curvature there may already have changed
 by the slope times ``_BEND_M``."""
+_AHEAD_M = 10.0
+"""Reported boundaries are parabolas without a slope: their curvature is that with which they meet the track here."""
+_REPORTED = _H.copy()
+_REPORTED[2, _SLOPE] = _AHEAD_M / 3
 _Y_AXIS_STEPS = 3
 """Fixed-point steps for the boundary's intersection with a turned y axis; each reduces the error by heading * turn."""
 _CONTRADICTS = 7.81
@@ -105,13 +109,19 @@ class BoundaryTrack:
         return self.covariance[np.ix_(_MEASURED, _MEASURED)]
 
     @property
+    def reported_state(self) -> Float:
+        """``state``, with the mean curvature of the first metres ahead."""
+        return _REPORTED @ self.mean
+
+    @property
     def reported_covariance(self) -> Float:
-        """``state_covariance``, enlarged by a bend that may have begun in the part not seen.
+        """That of ``reported_state``, enlarged by a bend that may have begun in the part not seen.
 
         Only the part of the slope beyond its own deviation counts.
         """
         slope_variance = max(float(self.mean[_SLOPE] ** 2 - self.covariance[_SLOPE, _SLOPE]), 0.0)
-        return self.state_covariance + slope_variance * _BEND_M**2 / _BLIND_M * _curvature_walk(_BLIND_M, -1.0)
+        by_bend = slope_variance * _BEND_M**2 / _BLIND_M * _curvature_walk(_BLIND_M, -1.0)
+        return _REPORTED @ self.covariance @ _REPORTED.T + by_bend
 
 
 @dataclass(frozen=True)
