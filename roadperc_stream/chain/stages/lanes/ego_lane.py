@@ -60,7 +60,7 @@ def _boundary(
         side,
         "measured" if track.measured_ns == track.stamp_ns else "held",
         raw_px,
-        _chord(track.state, projection, far),
+        _chord(track.reported_state, projection, far),
         offset,
         heading,
         curvature,
@@ -81,7 +81,7 @@ def _drawn_curve(tracked: TrackedBoundary, projection: RoadProjection | None) ->
     if projection is None:
         return np.empty((0, 3)), np.empty((0, 2))
     x = np.arange(max(tracked.reach_m, _SHORTEST_DRAWN_M) + 1)
-    points = projection.on_road(x, lateral(tracked.track.state, x))
+    points = projection.on_road(x, tracking.lateral_at(tracked.track, x))
     pixels = projection.pixels(points[x >= tracked.hidden_m])
     return points, pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 1] <= 2 * projection.camera.height)]
 

@@ -296,10 +296,21 @@ def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack
     return BoundaryTrack(mean, covariance, track.stamp_ns, track.measured_ns)
 
 
+def lateral_at(track: BoundaryTrack, x_m: Float) -> Float:
+    """Lateral positions (N,) at (N,) distances ahead, metres."""
+    result: Float = _across(x_m) @ track.mean
+    return result
+
+
 def std_at(track: BoundaryTrack, x_m: float) -> float:
     """Standard deviation of the lateral position ``x_m`` ahead, metres."""
-    design = np.array([1.0, 0.0, x_m, x_m**2 / 2, x_m**3 / 6])
+    design = _across(np.array(x_m))
     return float(np.sqrt(design @ track.covariance @ design))
+
+
+def _across(x_m: Float) -> Float:
+    """(..., 5) derivatives of the lateral position at distances ahead by a track's mean."""
+    return np.stack((np.ones_like(x_m), np.zeros_like(x_m), x_m, x_m**2 / 2, x_m**3 / 6), axis=-1)
 
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:
