@@ -43,8 +43,8 @@ _BLIND_M = 4.0
 _BEND_M = 10.0
 """The first metres ahead are not visible. If the road bends beyond them, the curvature there may already have changed
 by the slope times ``_BEND_M``."""
-_AHEAD_M = 10.0
-"""Reported boundaries are parabolas without a slope: their curvature is that with which they meet the track here."""
+_AHEAD_M = 15.0
+"""A reported boundary is a parabola, without a slope: its curvature is that with which it meets the track here."""
 _REPORTED = _H.copy()
 _REPORTED[2, _SLOPE] = _AHEAD_M / 3
 _Y_AXIS_STEPS = 3
@@ -110,7 +110,7 @@ class BoundaryTrack:
 
     @property
     def reported_state(self) -> Float:
-        """``state``, with the mean curvature of the first metres ahead."""
+        """``state``, with a curvature that describes the first metres ahead."""
         return _REPORTED @ self.mean
 
     @property

@@ -1,13 +1,14 @@
 """The boundary's Kalman filter, and the majority of the classes beside it."""
 
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from roadperc_stream.chain.stages.lanes import tracking
-from roadperc_stream.chain.stages.lanes.curves import Curve
+from roadperc_stream.chain.stages.lanes.curves import Curve, lateral
 from roadperc_stream.chain.stages.lanes.tracking import ClassHistory, LanesState
 from roadperc_stream.config import LanesConfig
 from roadperc_stream.model import Odometry
@@ -155,12 +156,36 @@ def test_a_bend_ahead_makes_the_reported_deviation_larger():
     track = tracking.start(seen(1.7, 0.0, 0.0, drawn=drawn), 0)
     for _ in range(20):
         track = tracking.update(CFG, track, seen(1.7, 0.0, 0.0, drawn=drawn))
-    np.testing.assert_array_equal(track.reported_covariance, track.state_covariance)
+    np.testing.assert_array_equal(track.reported_covariance[:2, :2], track.state_covariance[:2, :2])
     for number in range(1, 6):
         track = tracking.predict(CFG, track, number * STEP_NS, moved(1.0))
         track = tracking.update(CFG, track, seen(1.7 + 0.06, -0.0165, 0.0025, drawn=drawn))
     assert track.state[0] == pytest.approx(1.7, abs=0.02)
-    assert (np.diag(track.reported_covariance) > 1.1 * np.diag(track.state_covariance)).all()
+    without_bend = replace(track, mean=np.append(track.mean[:4], 0.0))
+    assert (np.diag(track.reported_covariance) > 1.1 * np.diag(without_bend.reported_covariance)).all()
+
+
+def test_a_boundary_is_known_ahead_where_its_curvature_changes():
+    """The car drives straight ahead beside y = 1.7 + c x^3 / 6, which is measured 4 to 40 m ahead by a parabola."""
+    slope_per_m2 = 5e-5
+    ahead_m = np.linspace(4.0, 40.0, 100)
+    drawn = np.polyfit(ahead_m, ahead_m**3 / 6, 2)[::-1] * (1.0, 1.0, 2.0)
+    for driven_m in range(40):
+        truth = np.array([1.7, 0.0, 0.0]) + slope_per_m2 * np.array([driven_m**3 / 6, driven_m**2 / 2, driven_m])
+        curve = seen(*(truth + slope_per_m2 * drawn), drawn=drawn)
+        if driven_m == 0:
+            track = tracking.start(curve, 0)
+            continue
+        track = tracking.predict(CFG, track, driven_m * STEP_NS, moved(1.0))
+        track = tracking.update(CFG, track, curve)
+    for x_m in (10.0, 15.0):
+        true_m = lateral(truth, x_m) + slope_per_m2 * x_m**3 / 6
+        assert lateral(track.reported_state, x_m) == pytest.approx(true_m, abs=0.01)
+    true_m = lateral(truth, 30.0) + slope_per_m2 * 30.0**3 / 6
+    assert tracking.lateral_at(track, np.array([30.0]))[0] == pytest.approx(true_m, abs=0.05)
+    straight = replace(track, mean=np.append(track.mean[:4], 0.0))
+    across = np.array([1.0, x_m, x_m**2 / 2])
+    assert across @ straight.reported_covariance @ across == pytest.approx(tracking.std_at(straight, x_m) ** 2)
 
 
 @pytest.mark.parametrize(("sigmas", "taken"), [(0.99, True), (1.01, False)])
