@@ -86,8 +86,8 @@ HINDSIGHT: Final = _quantities(
 """Errors by hindsight, which need no truth."""
 TRUTH_OF: Final = {q.column: q.column.replace("_hindsight_", "_error_") for q in HINDSIGHT}
 """For each column by hindsight the error against truth."""
-AHEAD: Final = tuple(q.column for q in HINDSIGHT if q.stage in ("surface", "lanes"))
-"""Errors of the place 10 m ahead, which a later frame sees."""
+AT_PLACE: Final = tuple(q.column for q in HINDSIGHT if q.stage in ("surface", "lanes"))
+"""Errors of the place 10 m ahead, which a later frame finds."""
 ERRORS: Final = (*TRUTH, *HINDSIGHT)
 
 TOTAL: Final = Quantity("total_ms", "total", "ms", 2)
@@ -179,9 +179,13 @@ _CUT: Final = "…"
 
 
 def ranked(present: Container[str]) -> list[Quantity]:
-    """The present quantities to rank by: errors against truth, else by hindsight, else the suspect quantities."""
-    found = ([q for q in kind if q.column in present] for kind in (TRUTH, HINDSIGHT, SUSPECT))
-    return next((quantities for quantities in found if quantities), [])
+    """The present quantities to rank by: errors, by hindsight only without their truth, else the suspect quantities."""
+    return judged_errors(present) or [q for q in SUSPECT if q.column in present]
+
+
+def judged_errors(present: Container[str]) -> list[Quantity]:
+    """The present errors that judge: against truth, and by hindsight where that truth is missing."""
+    return [q for q in ERRORS if q.column in present and TRUTH_OF.get(q.column) not in present]
 
 
 def rounded(value: float, quantity: Quantity) -> str:

@@ -18,7 +18,7 @@ from ..criteria import BY_NAME, Criterion
 from ..expressions import on_empty_rows, parsed, similar
 from ..findings import finding_lines, findings_of
 from ..frame_commands import view_command
-from ..report_columns import percent
+from ..report_columns import TRUTH_OF, percent
 from ..results import Outcome
 from ..runs import Run, reading, written_columns
 from ..scan import SEGMENT, before, rows_of, scan
@@ -85,7 +85,8 @@ class _Part:
     run: Run
     rows: pl.DataFrame
     minutes: float
-    has_truth: bool
+    skipped: str = ""
+    """Why it does not count."""
 
 
 def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> list[Result]:
@@ -191,8 +192,11 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
             kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
             columns = _columns_of(criterion)
             of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
+            truth = TRUTH_OF.get(columns[0]) if columns else None
+            decided = truth is not None and table[truth].null_count() < table.height
+            skipped = "truth decides" if decided else "" if of_truth <= known else "no truth"
             minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
-            parts.append(_Part(run, kept.select("frame", "value"), minutes, of_truth <= known))
+            parts.append(_Part(run, kept.select("frame", "value"), minutes, skipped))
     return parts
 
 
@@ -204,9 +208,10 @@ def _columns_of(criterion: Criterion) -> list[str]:
 
 def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
     frames = sum(part.rows.height for part in parts)
-    parts = [part for part in parts if part.has_truth]
+    reason = parts[0].skipped
+    parts = [part for part in parts if not part.skipped]
     if not parts:
-        return Result(criterion, log, "skipped", frames, reason="no truth")
+        return Result(criterion, log, "skipped", frames, reason=reason)
     frames = sum(part.rows.height for part in parts)
     if frames < criterion.least_frames:
         few = f"{number_of(frames, 'frame')}, expected {criterion.least_frames} at least"

@@ -27,7 +27,7 @@ from ..report.full_tables import full_tables
 from ..report.sources import load, source_of_runs
 from ..report.stages import stages_of
 from ..report.summaries import Summary, WorstFrame, frames_in_segments, groups_of_runs, summarise
-from ..report_columns import AHEAD, percent, with_unit
+from ..report_columns import AT_PLACE, percent, with_unit
 from ..runs import Run, collect
 from ..scan import rows_of
 from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, paths, trajectory
@@ -170,17 +170,16 @@ def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[
         found = next((pair for pair in pairs if frame.run in {pair.base.name, pair.new.name}), None)
         if found is None:
             run = next(run for run in runs if run.name == frame.run)
-            seen = _seen_later(run, frame) if quantity.column in AHEAD else []
-            text += "".join(f"; claimed here, found in frame {later.frame}" for later in seen)
-            return Lead(text, (frame, *seen), command(run, frame.frame))
+            later = _found_later(run, frame, quantity.column) if quantity.column in AT_PLACE else []
+            return Lead(text, (frame, *later), command(run, frame.frame))
         pair, text = found, f"{frame.run}, {text}"
     both = [frame for run in (pair.base, pair.new) for frame in frames_of(run, pl.col("stamp_ns") == stamp_ns)[:1]]
     return Lead(text, tuple(both), view_pair_command(pair.base, pair.new, place.frame if place else both[-1].frame))
 
 
-def _seen_later(run: Run, frame: WorstFrame) -> list[WorstFrame]:
-    """The frame that came near the place ahead of a frame."""
-    found = rows_of(run).filter(pl.col("frame") == frame.frame).select("hindsight_frame")
+def _found_later(run: Run, frame: WorstFrame, column: str) -> list[WorstFrame]:
+    """The frame that found what a frame claimed ahead."""
+    found = rows_of(run).filter(pl.col("frame") == frame.frame).select(column.replace("hindsight_m", "hindsight_frame"))
     return frames_of(run, pl.col("frame") == collect(found, run.source_name).item())
 
 

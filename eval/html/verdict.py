@@ -17,7 +17,7 @@ from ..options import Rules
 from ..report.full_tables import ranked_by
 from ..report.stages import judged_stages, stage_figures, worst_of
 from ..report.summaries import Summary, WorstFrame
-from ..report_columns import HINDSIGHT, LOST, TRUTH, Quantity
+from ..report_columns import LOST, Quantity, judged_errors
 from ..runs import Run
 
 BARS: Final = 9
@@ -52,13 +52,11 @@ class Ranked:
 
 def single_sentence(summary: Summary) -> tuple[Mark, str]:
     """The mark of one run, and the stages whose p95 error is beyond its limit."""
-    limited = (
-        [q for q in kind if q.limit is not None and q.column in summary.statistics] for kind in (TRUTH, HINDSIGHT)
-    )
-    known = [(q, summary.statistics[q.column]) for q in next(filter(None, limited), [])]
+    judging = [q for q in judged_errors(summary.statistics) if q.limit is not None]
+    known = [(q, summary.statistics[q.column]) for q in judging]
     beyond = [q.name for q, s in known if (s.p5 < (q.limit or 0) if q.better == "high" else s.abs_p95 > (q.limit or 0))]
     if not known:
-        return "unchanged", "No verdict, because no frame has truth"
+        return "unchanged", "No verdict, because no frame has truth or an error by hindsight"
     if beyond:
         return "worse", f"{len(beyond)} of {number(len(known), 'error')} with p95 beyond the limit: {listed(beyond)}"
     return "better", f"{number(len(known), 'error')} with p95 within the limit"

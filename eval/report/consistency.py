@@ -157,7 +157,7 @@ def consistency_by_run(frames: Frames) -> list[dict[str, Consistency]]:
         {judged.estimate: consistency_of_frames(*errors_of(own, judged)) for judged in FRAME_QUANTITIES}
         for own in table.partition_by(RUN, maintain_order=True)
     ]
-    for (run,), own in _kept_objects(frames).partition_by(RUN, as_dict=True).items():
+    for (run,), own in kept_objects(frames).partition_by(RUN, as_dict=True).items():
         numbers = object_numbers(own)
         found[run] |= {judged.estimate: consistency(*errors_of(own, judged), numbers) for judged in OBJECT_QUANTITIES}
     return [{name: sums for name, sums in of_run.items() if sums.errors} for of_run in found]
@@ -183,7 +183,7 @@ def errors_of(table: pl.DataFrame, judged: Judged) -> tuple[Float, int]:
     return np.where(known, np.clip(normalised, -_FARTHEST, _FARTHEST), np.nan), int(np.count_nonzero(known))
 
 
-def _kept_objects(frames: Frames) -> pl.DataFrame:
+def kept_objects(frames: Frames) -> pl.DataFrame:
     """The kept detections, with the number of their run, their track and the columns of ``OBJECT_QUANTITIES``.
 
     Raises:

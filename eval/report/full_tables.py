@@ -131,7 +131,7 @@ def accuracy(summaries: Summaries) -> Table:
     rows = dict(_quantities(summaries, ERRORS, _accuracy))
     absent = [q.column for q in TRUTH if not any(q.column in summary.statistics for summary in summaries)]
     without = [f"No frame has an estimate and a truth for: {'; '.join(absent)}."] if absent else []
-    notes = (_ERRORS, _COVERAGE, *without)
+    notes = (_ERRORS, _COVERAGE, *(without if len(absent) < len(TRUTH) else [_NO_TRUTH]))
     about = {q.column: f"{q.label}; {better(q)}" for q in ERRORS}
     return _table("Accuracy", headers, rows, summaries, notes if rows else (_NO_TRUTH,), about=about)
 
@@ -144,7 +144,7 @@ def consistency_table(summaries: Summaries) -> Table:
     without = [name for name in columns if name not in rows]
     notes = [*(_LEGEND if rows else ()), *([f"no standard deviation: {', '.join(without)}"] if without else [])]
     headers = ("errors", "with std %", *_SIGMAS, "NEES", f"{LEVEL:.0%} interval")
-    return _table("Consistency", headers, rows, summaries, tuple(notes), label_columns=17)
+    return _table("Consistency", headers, rows, summaries, tuple(notes), label_columns=27)
 
 
 def detection_counts(summaries: Summaries) -> Table:

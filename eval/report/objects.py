@@ -20,6 +20,7 @@ from .stages import LISTED
 
 _LOG: Final = "log"
 _CLASS: Final = "class"
+_BY_HINDSIGHT: Final = pl.col("object_distance_hindsight_m")
 OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {_CLASS}
 
 
@@ -41,7 +42,9 @@ def object_slices(source: FrameSource, by: Sequence[str]) -> Results:
     schema = rows.collect_schema()
     require_roots(by, schema, (), "the tables of objects")
     keys = [key_name(text) for text in by]
-    error = (pl.col("distance_m") - pl.col("true_distance_m")).abs()
+    later = not _has_truth(source, rows)
+    distance_error = _BY_HINDSIGHT if later else pl.col("distance_m") - pl.col("true_distance_m")
+    error = distance_error.cast(pl.Float64).abs()
     known = error.filter(error.is_finite())
     grouped = rows.filter(pl.col("kept")).group_by(as_key(text, schema) for text in by)
     with reading_files(source.object_files):
@@ -59,7 +62,8 @@ def object_slices(source: FrameSource, by: Sequence[str]) -> Results:
         )
     require_few(found.height, by)
     slices = {group_name(tuple(item[key] for key in keys)): item for item in found.iter_rows(named=True)}
-    note = "median, p95 and worst: absolute error of the distances of kept detections; known %: those with a distance"
+    kind = "error by hindsight" if later else "error"
+    note = f"median, p95 and worst: absolute {kind} of the distances of kept detections; known %: those with a distance"
     more = (f"listed: the worst {LISTED} of {len(slices)}",) if len(slices) > LISTED else ()
     shown = [(name, *_object_cells(item)) for name, item in list(slices.items())[:LISTED]]
     headers = ("objects", "frames", "known %", "median m", "p95 m", "worst m")
@@ -67,6 +71,12 @@ def object_slices(source: FrameSource, by: Sequence[str]) -> Results:
     table = Table("Slice", headers, shown, (note, *more), label_columns=15)
     numbers = {name: {k: v for k, v in item.items() if k not in keys} for name, item in slices.items()}
     return Results("report", "Slices of objects", (heading,), (table,), (), {"slices": numbers})
+
+
+def _has_truth(source: FrameSource, rows: pl.LazyFrame) -> bool:
+    """Whether any object has a true distance."""
+    with reading_files(source.object_files):
+        return bool(rows.select(pl.col("true_distance_m").is_not_null().any()).collect().item())
 
 
 def _object_cells(item: dict[str, Any]) -> Iterator[str]:

@@ -29,7 +29,17 @@ from ..dataset.place import Dataset, dataset_at, metrics_files, read_runs
 from ..findings import Found, finding_counts, findings_of, findings_of_dataset, report_lines
 from ..frame_commands import view_command, view_dataset_command
 from ..options import ReportOptions, Rules
-from ..report_columns import HINDSIGHT, SKEW, TRUTH, Quantity, legend, name_columns, percent, short_names, with_unit
+from ..report_columns import (
+    HINDSIGHT,
+    SKEW,
+    Quantity,
+    judged_errors,
+    legend,
+    name_columns,
+    percent,
+    short_names,
+    with_unit,
+)
 from ..results import ResultFiles, Results
 from ..runs import Run
 from ..trajectory.trajectory import in_short
@@ -250,11 +260,21 @@ def _of_summaries(title: str, kind: str, summaries: Sequence[Summary], command: 
     lines += [] if others else [latency_line(first)]
     values = {summary.name: values_of(summary, figures[summary.name], command) for summary in summaries}
     cases = [case for name, found in figures.items() for case in cases_of(name, found)]
-    present = {column for summary in summaries for column in summary.statistics}
-    truth, later = ([q for q in kind if q.column in present] for kind in (TRUTH, HINDSIGHT))
     heights = dict.fromkeys(filter(None, map(assumed_height, summaries)))
-    head = (*(() if truth else (BY_HINDSIGHT if later else NO_TRUTH,)), *heights)
+    head = (*_kinds_of_errors(summaries), *heights)
     return Results("report", title, head, tables, lines, {kind: values}, cases)
+
+
+def _kinds_of_errors(summaries: Sequence[Summary]) -> Iterator[str]:
+    """A line that says which errors are no errors against truth."""
+    judging = judged_errors({column for summary in summaries for column in summary.statistics})
+    later = [quantity for quantity in judging if quantity in HINDSIGHT]
+    if not judging:
+        yield NO_TRUTH
+    elif len(later) == len(judging):
+        yield BY_HINDSIGHT
+    elif later:
+        yield f"By hindsight, against what later frames found, without truth: {listed([q.column for q in later])}"
 
 
 def _of_pair(subject: Subject, summaries: Sequence[Summary]) -> Results:
@@ -303,7 +323,7 @@ def _full_of_runs(subject: Subject, worst: int) -> Results:
     else:
         tables += [_contents(by_run), settings_table({group.name: group.example for group in groups})]
         tables += [_runs_table(by_run, tuple(legend(short))), *_extents(together)]
-    tables += [*full_tables(together), *_believed(frames), worst_frames(together)]
+    tables += [*full_tables(together), *_agreement(frames), worst_frames(together)]
     if len(runs) > 1:
         tables += rows_tables("Run", by_run)
     if len(runs) > len(groups):
@@ -322,7 +342,7 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
     summaries = [replace(summary, name=names[summary.name]) for summary in summaries]
     tables: list[Table | str] = [settings_of_dataset(frames, subject.listed)] if dataset else []
     tables += [_groups_table(summaries, by, tuple(legend(names)))] if by else _extents(summaries)
-    tables += [*full_tables(summaries), *_believed(frames), *([] if dataset else [worst_frames(summaries)])]
+    tables += [*full_tables(summaries), *_agreement(frames), *([] if dataset else [worst_frames(summaries)])]
     tables += _left_out({"group": summaries})
     if worst is None:
         return Results("report", "Report", [_sliced(frames, groups, by)], tables)
@@ -339,7 +359,7 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
     return Results("report", "Report", _head(subject, frames, FAILED_LISTED), tables, ("", *log_paths(frames, [*runs])))
 
 
-def _believed(frames: Frames) -> Iterator[Table]:
+def _agreement(frames: Frames) -> Iterator[Table]:
     """The table on hindsight, if the log has truth."""
     if (found := hindsight_table(frames)).rows:
         yield found

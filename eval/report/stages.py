@@ -22,6 +22,7 @@ RUNS_SHOWN: Final = 6
 """Most runs in the short report of several runs, which has at most 15 lines."""
 NO_TRUTH: Final = "No frame has truth: the figures are the stages' own quality numbers, not errors."
 BY_HINDSIGHT: Final = "No frame has truth: the errors are by hindsight, against what later frames found."
+_ANSWERED: Final = "frames with an error by hindsight, %"
 _STORED: Final = frozenset((*(column.name for column in fields(FrameMetrics)), *FRAME_HINDSIGHT))
 _KNOWN: Final = {quantity.column: quantity for quantity in (*NUMBERS, *QUALITY)}
 
@@ -108,6 +109,8 @@ class StageFigures:
     reason: str = ""
     states: Mapping[str, float] = field(default_factory=dict)
     telling: "StageFigures | None" = None
+    answered: float | None = None
+    """Share of the frames with an error by hindsight; None for other figures."""
 
     @property
     def badness(self) -> float:
@@ -129,7 +132,8 @@ class StageFigures:
         """The figures for other programs."""
         known = {"median": self.median, self.tail_name: self.tail, "worst": self.worst}
         frame = {"worst_frame": self.at.frame, "command": command(self.at)} if self.at else {}
-        names = {"coverage": self.coverage, "column": self.quantity.column, "unit": self.quantity.unit}
+        more_known = {} if self.answered is None else {"answered": self.answered}
+        names = {"coverage": self.coverage, **more_known, "column": self.quantity.column, "unit": self.quantity.unit}
         more: dict[str, Any] = {"states": dict(self.states)} if self.states else {}
         if self.telling is not None:
             more[self.telling.quantity.column] = {"coverage": self.telling.coverage, "median": self.telling.median}
@@ -160,6 +164,7 @@ def _figures(summary: Summary, stage: str, error: str | None) -> StageFigures:
         reason=_reason(summary, of) if quantity.column not in summary.statistics or "lost" in states else "",
         states=states,
         telling=None if error == of.error else _telling(summary, of),
+        answered=summary.coverage(quantity.column) if quantity.column in TRUTH_OF else None,
     )
     found = summary.statistics.get(quantity.column)
     if found is None:
@@ -229,6 +234,8 @@ def stage_table(figures: Mapping[str, Sequence[StageFigures]], judged: Mapping[s
     all_apart = len(apart) == len({f.stage for f in shown})
     notes = [f"no truth, the stage's own quality: {', '.join(apart)}"] if apart and not all_apart else []
     notes += ["; ".join(whole)] if whole and len(figures) == 1 else []
+    answered = [f"{f.stage} {percent(f.answered)}" for f in shown if f.answered is not None]
+    notes += [f"{_ANSWERED}: {', '.join(answered)}"] if answered and len(figures) == 1 else []
     notes += [f"columns: {', '.join(columns)}"] if columns else []
     title = "quality" if all_apart else "error or quality" if apart else "error"
     tail = "p95 or p5" if any(f.tail_name == "p5" for f in shown) else "p95"

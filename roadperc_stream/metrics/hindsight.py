@@ -17,7 +17,7 @@ from roadperc_stream.geometry.arrays import Mask
 from roadperc_stream.geometry.ground import height_at
 from roadperc_stream.geometry.rotations import rotations_from_quaternions
 from roadperc_stream.metrics.lanes import LANE_ERROR_AT_M
-from roadperc_stream.metrics.smoothing import Smoothed, smoothed
+from roadperc_stream.metrics.smoothing import JITTER_NS, Smoothed, smoothed
 from roadperc_stream.model import SIDES, Absent, Boundary, FrameResult, Lanes
 from roadperc_stream.system.time import NS_PER_S
 
@@ -36,11 +36,8 @@ CLAIMS: Final = 2 * _SIDE + 4
 """Numbers that a frame keeps beside its row: 176 bytes."""
 _REACH_S: Final = 1.0
 _STEP_REACH_S: Final = 0.5
-_JERK_NOISE: Final = 5.0
-"""Standard deviation of the change of a car's acceleration within a second, m/s2."""
-_LARGEST_MISFIT: Final = 2.0
-"""Neighbours that contradict each other by more, as where a track changes to another object, do not tell. A smoothed
-distance tells only if it is better known than the claimed one."""
+_JERK_NOISE: Final = 0.5
+"""Standard deviation of the change of a car's acceleration within a second, m/s2. Harder braking has no answer."""
 FRAME_COLUMNS: Final = (
     *(
         "frame",
@@ -111,11 +108,15 @@ def frame_hindsight(rows: Rows, claims: Float) -> dict[str, Float]:
         status = rows[f"lane_{side}_status"]
         measured = (status == "measured") & np.isfinite(state[:, 0])
         name = f"lane_{side}_hindsight"
-        found[f"{name}_m"], found[f"{name}_std_m"] = _lane(drive, state, measured, lane, np.cumsum(status == "lost"))
+        found[f"{name}_m"], found[f"{name}_std_m"], at = _lane(
+            drive, state, measured, lane, np.cumsum(status == "lost")
+        )
+        found[f"{name}_frame"] = _frames(rows, at)
     surface = claims[:, 2 * _SIDE :]
-    seen = np.isfinite(surface[:, 0]) & ~np.isin(rows["surface_source"], ("held", "estimated"))
-    found["surface_height_hindsight_m"] = _height(drive, surface, seen)
-    return found | {"hindsight_frame": _found_frame(drive, rows["frame"])} | _steps(rows)
+    measured = np.isfinite(surface[:, 0]) & ~np.isin(rows["surface_source"], ("held", "estimated"))
+    found["surface_height_hindsight_m"], at = _height(drive, surface, measured)
+    found["surface_height_hindsight_frame"] = _frames(rows, at)
+    return found | _steps(rows)
 
 
 def _drive(rows: Rows) -> _Drive:
@@ -162,12 +163,14 @@ def _later(drive: _Drive, ahead: Float, measured: Mask) -> Iterator[tuple[NDArra
         open_, world, turned = open_[~(found | passed)], world[~(found | passed)], turned[~(found | passed)]
 
 
-def _lane(drive: _Drive, state: Float, measured: Mask, lane: Float, losses: NDArray[np.intp]) -> tuple[Float, Float]:
-    """Error of a boundary 10 m ahead and its standard deviation.
+def _lane(
+    drive: _Drive, state: Float, measured: Mask, lane: Float, losses: NDArray[np.intp]
+) -> tuple[Float, Float, Float]:
+    """Error of a boundary 10 m ahead, its standard deviation, and the row that found it.
 
     ``lane`` numbers the lanes, NaN over a line; ``losses`` counts the frames in which the boundary was lost.
     """
-    error, std = np.full((2, len(state)), np.nan)
+    error, std, at = np.full((3, len(state)), np.nan)
     x = np.full(len(state), LANE_ERROR_AT_M)
     ahead = np.stack([x, _lateral(state, x), np.zeros(len(state))], axis=1)
     for found in _later(drive, ahead, measured):
@@ -175,9 +178,9 @@ def _lane(drive: _Drive, state: Float, measured: Mask, lane: Float, losses: NDAr
         here, later, place, turned = (part[same] for part in found)
         off_m = place[:, 1] - _lateral(state[later], place[:, 0])
         off_m[(np.abs(off_m) > _OTHER_LINE_M) & (losses[here] != losses[later])] = np.nan
-        error[here] = off_m
+        error[here], at[here] = off_m, later
         std[here] = np.sqrt(_lateral_var(state[here], x[here]) + _lateral_var(state[later], place[:, 0]) + turned)
-    return error, np.where(np.isfinite(error), std, np.nan)
+    return error, *np.where(np.isfinite(error), [std, at], np.nan)
 
 
 def _lateral(state: Float, x: Float) -> Float:
@@ -193,23 +196,22 @@ def _lateral_var(state: Float, x: Float) -> Float:
     return variance
 
 
-def _height(drive: _Drive, surface: Float, seen: Mask) -> Float:
-    """Error of the road's height 10 m ahead."""
-    error = np.full(len(surface), np.nan)
+def _height(drive: _Drive, surface: Float, measured: Mask) -> tuple[Float, Float]:
+    """Error of the road's height 10 m ahead, and the row that found it."""
+    error, at = np.full((2, len(surface)), np.nan)
     x = np.full(len(surface), LANE_ERROR_AT_M)
-    for here, later, place, _ in _later(drive, np.stack([x, np.zeros_like(x), surface[:, 0]], axis=1), seen):
+    for here, later, place, _ in _later(drive, np.stack([x, np.zeros_like(x), surface[:, 0]], axis=1), measured):
         a, b, d = surface[later, 1:].T
-        error[here] = place[:, 2] - (d - a * place[:, 0] - b * place[:, 1])
-    return error
+        error[here], at[here] = place[:, 2] - (d - a * place[:, 0] - b * place[:, 1]), later
+    return error, at
 
 
-def _found_frame(drive: _Drive, frames: NDArray[Any]) -> Float:
-    """The frame that comes near each frame's place 10 m ahead."""
-    found = np.full(len(frames), np.nan)
-    ahead = np.tile([LANE_ERROR_AT_M, 0.0, 0.0], (len(frames), 1))
-    for here, later, _, _ in _later(drive, ahead, np.ones(len(frames), bool)):
-        found[here] = frames[later]
-    return found
+def _frames(rows: Rows, at: Float) -> Float:
+    """The frame of each row ``at``, NaN if unknown."""
+    known = np.isfinite(at)
+    frames = np.full(len(at), np.nan)
+    frames[known] = rows["frame"][at[known].astype(int)]
+    return frames
 
 
 def _steps(rows: Rows) -> dict[str, Float]:
@@ -225,9 +227,9 @@ def _steps(rows: Rows) -> dict[str, Float]:
         own = np.flatnonzero(known & (rows["segment"] == segment))
         speed_mps, speed_std_mps = step_m[own] / took_s[own], std_m[own] / took_s[own]
         speed = smoothed(stamp_ns[own], speed_mps, speed_std_mps, _JERK_NOISE, _STEP_REACH_S)
-        told = speed.misfit <= _LARGEST_MISFIT
-        error[own[told]] = step_m[own[told]] - speed.value[told] * took_s[own[told]]
-        std[own[told]] = np.hypot(std_m[own[told]], speed.value_std[told] * took_s[own[told]])
+        better = speed.value_std <= speed_std_mps
+        error[own] = np.where(better, step_m[own] - speed.value * took_s[own], np.nan)
+        std[own] = np.where(better, np.hypot(std_m[own], speed.value_std * took_s[own]), np.nan)
     return {"step_hindsight_m": error, "step_hindsight_std_m": std}
 
 
@@ -255,9 +257,9 @@ def object_hindsight(rows: Rows, process_noise: float) -> dict[str, Float]:
             continue
         distance_m, std_m = number["distance_m"][own], number["distance_std_m"][own]
         at = smoothed(stamp_ns, distance_m, std_m, process_noise, _REACH_S)
-        told = (at.misfit <= _LARGEST_MISFIT) & (at.value_std <= std_m)
+        better = at.value_std <= std_m
         for name, values in _of_track({key: values[own] for key, values in number.items()}, at).items():
-            found[name][own[told]] = values[told]
+            found[name][own[better]] = values[better]
     return found
 
 
@@ -278,28 +280,28 @@ def _of_track(claimed: Mapping[str, Float], at: Smoothed) -> dict[str, Float]:
     }
 
 
-def objects_in_frames(frames: NDArray[Any], rows: Rows, found: Mapping[str, Float]) -> dict[str, Float]:
+def objects_in_frames(frames: Rows, rows: Rows, found: Mapping[str, Float]) -> dict[str, Float]:
     """The columns of a table of frames that objects give.
 
-    They are the mean absolute error of the distances, and the error of the shortest time to impact.
+    They are the mean absolute error of the distances, and the error of the shortest time to impact. The last second has
+    none: tracks that go on there are open.
 
     Args:
-        frames: (N,) frame of each row of the table.
+        frames: ``FRAME_COLUMNS`` of the table.
         rows: ``OBJECT_COLUMNS`` of the table of objects.
         found: what ``object_hindsight`` gave.
     """
-    row = np.searchsorted(frames, rows["frame"])
-    error_m = found["object_distance_hindsight_m"]
+    count, stamp_ns = len(frames["frame"]), frames["stamp_ns"]
+    row = np.searchsorted(frames["frame"], rows["frame"])
+    closed = stamp_ns + _REACH_S * NS_PER_S <= stamp_ns[-1:] + JITTER_NS
+    error_m = np.abs(found["object_distance_hindsight_m"])
     known = np.isfinite(error_m)
-    counts = np.bincount(row[known], minlength=len(frames))
-    sums = np.bincount(row[known], np.abs(error_m[known]), minlength=len(frames))
-    mean_m = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    counts = np.bincount(row[known], minlength=count)
+    sums_m = np.bincount(row[known], error_m[known], minlength=count)
+    mean_m = np.where(closed & (counts > 0), sums_m / np.maximum(counts, 1), np.nan)
     impact_s = np.where(rows["kept"].astype(bool), rows["time_to_impact_s"].astype(float), np.nan)
-    urgent = np.flatnonzero(np.isfinite(impact_s))
-    urgent = urgent[np.lexsort((impact_s[urgent], row[urgent]))]
-    urgent = urgent[np.append(True, row[urgent][1:] != row[urgent][:-1])[: len(urgent)]]
-    shortest = {name: np.full(len(frames), np.nan) for name in ("hindsight_s", "hindsight_std_s")}
-    for name, values in shortest.items():
-        values[row[urgent]] = found[f"time_to_impact_{name}"][urgent]
-    times = {f"time_to_impact_{name}": values for name, values in shortest.items()}
-    return {"object_distance_hindsight_m": mean_m, **times}
+    later_first = np.lexsort((-impact_s, row))  # the last of a frame's is its shortest
+    later_first = later_first[np.isfinite(impact_s[later_first])]
+    shortest_s = np.full(count, np.nan)
+    shortest_s[row[later_first]] = found["time_to_impact_hindsight_s"][later_first]
+    return {"object_distance_hindsight_m": mean_m, "time_to_impact_hindsight_s": shortest_s}

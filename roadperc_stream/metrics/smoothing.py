@@ -1,4 +1,4 @@
-"""A value at each time by its neighbours in time alone: what a series says about one of its own values.
+"""Estimates each value of a series from its neighbours in time, without the value itself.
 
 The model is that of a Rauch-Tung-Striebel smoother: a value with a rate, whose rate changes at random by
 ``process_noise`` within a second. It is solved by generalised least squares over a window around each time, without the
@@ -20,29 +20,32 @@ from roadperc_stream.system.time import NS_PER_S
 _MOST: Final = 10
 """Most values of a window before and after a time; of more, every second, third and so on is used."""
 _FEWEST: Final = 4
+_LEAST_SPAN: Final = 1.2
+"""Least time between the first and the last neighbour, as a multiple of the reach: some are before, some after."""
+_LARGEST_MISFIT: Final = 2.0
+"""Largest spread of the neighbours, as a multiple of their claimed deviations."""
+_AGREEING: Final = 0.85
+"""Least mean weight of the neighbours. Where a track changes to another object, they contradict each other."""
 _AT_ONCE: Final = 512
 """Windows solved at once: 2 MB for each matrix."""
 _ITERATIONS: Final = 4
 _CONTRADICTING: Final = 2.0
 """Deviations at which a value has half its weight; the first passes are more tolerant."""
-_ROUNDING_NS: Final = 1_000_000
+JITTER_NS: Final = 1_000_000
 """Jitter of stamps that belongs to a regular rate."""
+_LEAST_STD: Final = 1e-6
 _UNUSED: Final = 1e9
 """Standard deviation of an entry without a value."""
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """(N,) values and rates at each time, and their standard deviations; NaN where the neighbours do not tell.
-
-    ``misfit`` is the spread of the window's values about them, as a multiple of the claimed deviations.
-    """
+    """(N,) values and rates at each time, and their standard deviations; NaN without an answer."""
 
     value: Float
     rate: Float
     value_std: Float
     rate_std: Float
-    misfit: Float
 
 
 def smoothed(stamp_ns: NDArray[np.int64], value: Float, std: Float, process_noise: float, reach_s: float) -> Smoothed:
@@ -56,26 +59,30 @@ def smoothed(stamp_ns: NDArray[np.int64], value: Float, std: Float, process_nois
         reach_s: distance of the farthest neighbours. Times less than this before the last one have no answer: what
             came after them is not known.
     """
-    found = np.full((5, len(stamp_ns)), np.nan)
-    reach_ns = round(reach_s * NS_PER_S) + _ROUNDING_NS
-    first = np.searchsorted(stamp_ns, stamp_ns - reach_ns)
-    last = np.searchsorted(stamp_ns, stamp_ns + reach_ns, side="right") - 1
+    found = np.full((4, len(stamp_ns)), np.nan)
+    reach_ns = round(reach_s * NS_PER_S)
+    first = np.searchsorted(stamp_ns, stamp_ns - reach_ns - JITTER_NS)
+    last = np.searchsorted(stamp_ns, stamp_ns + reach_ns + JITTER_NS, side="right") - 1
     centre = np.arange(len(stamp_ns))
     stride = np.maximum(-(-np.maximum(centre - first, last - centre) // _MOST), 1)
     steps = np.arange(-_MOST, _MOST + 1)
     steps = steps[steps != 0]
-    answered = np.flatnonzero((stamp_ns + reach_ns - 2 * _ROUNDING_NS <= stamp_ns[-1:]) & (last - first >= _FEWEST))
+    known = (stamp_ns + reach_ns - JITTER_NS <= stamp_ns[-1:]) & (last - first >= _FEWEST)
+    spans = stamp_ns[last] - stamp_ns[first] >= _LEAST_SPAN * reach_ns - JITTER_NS
+    answered = np.flatnonzero(known & spans)
     for at in np.split(answered, range(_AT_ONCE, len(answered), _AT_ONCE)) if len(answered) else ():
         index = centre[at, None] + steps * stride[at, None]
         used = (index >= first[at, None]) & (index <= last[at, None])
         index = np.where(used, index, at[:, None])
         offset_s = (stamp_ns[index] - stamp_ns[at, None]) / NS_PER_S
-        found[:, at] = _solved(offset_s, value[index], np.where(used, std[index], _UNUSED), used, process_noise)
+        found[:, at] = _solved(
+            offset_s, value[index], np.where(used, np.maximum(std[index], _LEAST_STD), _UNUSED), used, process_noise
+        )
     return Smoothed(*found)
 
 
 def _solved(offset_s: Float, value: Float, std: Float, used: Mask, process_noise: float) -> Float:
-    """Value, rate, their deviations and the misfit of each window, (5, N); the arguments are (N, K)."""
+    """Value, rate and their deviations of each window, (4, N); the arguments are (N, K)."""
     away = np.abs(offset_s)
     near, far = np.minimum(away[:, :, None], away[:, None]), np.maximum(away[:, :, None], away[:, None])
     same_side = np.sign(offset_s)[:, :, None] == np.sign(offset_s)[:, None]
@@ -94,6 +101,6 @@ def _solved(offset_s: Float, value: Float, std: Float, used: Mask, process_noise
         misfit = np.nanmedian(np.abs(off), axis=1) / 0.6745
         tolerated = _CONTRADICTING * np.maximum(misfit, 1.0) * 2.0 ** max(1 - iteration, 0)
         weight = 1 / (1 + np.nan_to_num(off / tolerated[:, None]) ** 2)
-    scale = np.maximum(misfit, 1.0)
-    stds = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * scale[:, None]
-    return np.stack([state[:, 0, 0] + level[:, 0], state[:, 1, 0], stds[:, 0], stds[:, 1], misfit])
+    stds = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) * np.maximum(misfit, 1.0)[:, None]
+    agree = (misfit <= _LARGEST_MISFIT) & ((weight * used).sum(axis=1) >= _AGREEING * used.sum(axis=1))
+    return np.where(agree, [state[:, 0, 0] + level[:, 0], state[:, 1, 0], stds[:, 0], stds[:, 1]], np.nan)

@@ -47,7 +47,7 @@ class Hindsight:
         claims = np.full((len(rows["frame"]), CLAIMS), np.nan)
         claims[len(rows_before) :] = np.reshape(self._claims, (-1, CLAIMS))
         of_tracks = object_hindsight(tracks, self._process_noise)
-        found = frame_hindsight(rows, claims) | objects_in_frames(rows["frame"], tracks, of_tracks)
+        found = frame_hindsight(rows, claims) | objects_in_frames(rows, tracks, of_tracks)
         objects.fill(_without(of_tracks, len(tracks_before)))
         frames.fill(_without(found, len(rows_before)))
 

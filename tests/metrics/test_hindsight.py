@@ -61,8 +61,8 @@ def test_exact_claims_have_no_error_and_the_last_frames_no_answer():
     for name in ("lane_left_hindsight_m", "lane_right_hindsight_m", "surface_height_hindsight_m"):
         np.testing.assert_allclose(found[name][:33], 0, atol=1e-12)
         assert np.isnan(found[name][33:]).all()
-    np.testing.assert_allclose(found["step_hindsight_m"][1:35], 0, atol=1e-8)
-    assert found["hindsight_frame"][0] == 7  # the place 10 m ahead is 3 m ahead there
+    np.testing.assert_allclose(found["step_hindsight_m"][3:35], 0, atol=1e-8)
+    assert found["lane_left_hindsight_frame"][0] == 7  # the place 10 m ahead is 3 m ahead there
 
 
 @pytest.mark.parametrize(("side", "place"), [("left", 0), ("right", SIDE)])
@@ -177,9 +177,8 @@ def test_frames_have_the_mean_error_of_their_objects_and_that_of_the_most_urgent
     found = {
         "object_distance_hindsight_m": np.concatenate([np.full(40, 1.0), np.full(40, -3.0)]),
         "time_to_impact_hindsight_s": np.concatenate([np.full(40, 0.5), np.full(40, 0.1)]),
-        "time_to_impact_hindsight_std_s": np.ones(80),
     }
-    by_frame = objects_in_frames(np.arange(41), rows, found)
-    np.testing.assert_allclose(by_frame["object_distance_hindsight_m"][:40], 2.0)
-    np.testing.assert_allclose(by_frame["time_to_impact_hindsight_s"][:40], 0.1)
-    assert np.isnan(by_frame["object_distance_hindsight_m"][40])
+    by_frame = objects_in_frames(_rows(), rows, found)
+    np.testing.assert_allclose(by_frame["object_distance_hindsight_m"][:30], 2.0)
+    np.testing.assert_allclose(by_frame["time_to_impact_hindsight_s"][:30], 0.1)
+    assert np.isnan(by_frame["object_distance_hindsight_m"][30:]).all(), "open tracks"

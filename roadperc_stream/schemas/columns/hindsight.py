@@ -1,48 +1,45 @@
 """Columns of errors by hindsight: estimate minus what later frames found. They are known only at a replay's end."""
 
 from dataclasses import dataclass
+from math import nan
 from typing import Annotated, Final
 
-from roadperc_stream.schemas.columns.column import Better, Column, columns_of
+from roadperc_stream.schemas.columns.column import Column, columns_of
 
 _STD = "standard deviation of the two estimates' difference"
 _SEE = "[hindsight](hindsight.md)"
 
 
-def _error(meaning: str, unit: str, null: str, label: str, decimals: int, better: Better, limit: float) -> Column:
-    relevant = {"object distance": 0.05, "step": 0.002}.get(label, float("nan"))
+def _error(
+    meaning: str, null: str, label: str, limit: float, relevant: float = nan, unit: str = "m", decimals: int = 3
+) -> Column:
     label = f"{label} by hindsight"
-    return Column(meaning, unit, null, label, decimals, better, compares_coverage=False, relevant=relevant, limit=limit)
+    return Column(
+        meaning, unit, null, label, decimals, "near 0", compares_coverage=False, relevant=relevant, limit=limit
+    )
 
 
 def _lane(side: str) -> Column:
     null = "boundary lost, or not found again: a lane change, lost odometry, the log's end"
     meaning = f"y(10 m) minus the boundary found there from at most 4 m, by {_SEE}"
-    return _error(meaning, "m", null, f"lane {side} at 10 m", 3, "near 0", 0.3)
+    return _error(meaning, null, f"lane {side} at 10 m", 0.3)
+
+
+_FOUND = Column("frame that found it", null="no error by hindsight")
+_OVER_ROAD = "height of the road 10 m ahead minus that found there from at most 4 m"
+_OF_OBJECTS = "mean of abs(d - d of the smoothed track) over kept detections"
+_OF_IMPACT = "smallest time to impact in the path minus that of the smoothed track"
+_OF_STEP = "length of the step minus that of the smoothed speed"
 
 
 @dataclass(frozen=True)
 class SurfaceHindsightColumns:
     """The road ahead against the road found there."""
 
-    hindsight_frame: Annotated[
-        float | None,
-        Column(
-            "frame in which the place 10 m ahead is at most 4 m ahead", null="the car does not reach it, or no pose"
-        ),
-    ] = None
     surface_height_hindsight_m: Annotated[
-        float | None,
-        _error(
-            "height of the road 10 m ahead minus that found there from at most 4 m",
-            "m",
-            "no road claimed, or not found again",
-            "surface height",
-            3,
-            "near 0",
-            0.1,
-        ),
+        float | None, _error(_OVER_ROAD, "no road measured or held, or not found again", "surface height", 0.1)
     ] = None
+    surface_height_hindsight_frame: Annotated[float | None, _FOUND] = None
 
 
 @dataclass(frozen=True)
@@ -51,8 +48,10 @@ class LaneHindsightColumns:
 
     lane_left_hindsight_m: Annotated[float | None, _lane("left")] = None
     lane_left_hindsight_std_m: Annotated[float | None, Column(_STD, "m", "the same")] = None
+    lane_left_hindsight_frame: Annotated[float | None, _FOUND] = None
     lane_right_hindsight_m: Annotated[float | None, _lane("right")] = None
     lane_right_hindsight_std_m: Annotated[float | None, Column(_STD, "m", "the same")] = None
+    lane_right_hindsight_frame: Annotated[float | None, _FOUND] = None
 
 
 @dataclass(frozen=True)
@@ -61,29 +60,11 @@ class ObjectHindsightColumns:
 
     object_distance_hindsight_m: Annotated[
         float | None,
-        _error(
-            "mean of abs(d - d of the smoothed track) over kept detections",
-            "m",
-            "no kept detection with both distances",
-            "object distance",
-            3,
-            "low",
-            1.0,
-        ),
+        _error(_OF_OBJECTS, "no kept detection with both distances, or the last second", "object distance", 1.0, 0.05),
     ] = None
     time_to_impact_hindsight_s: Annotated[
-        float | None,
-        _error(
-            "smallest time to impact in the path minus that of the smoothed track",
-            "s",
-            "either is unknown",
-            "time to impact",
-            3,
-            "near 0",
-            1.0,
-        ),
+        float | None, _error(_OF_IMPACT, "either is unknown", "time to impact", 1.0, unit="s")
     ] = None
-    time_to_impact_hindsight_std_s: Annotated[float | None, Column(_STD, "s", "the same")] = None
 
 
 @dataclass(frozen=True)
@@ -92,15 +73,7 @@ class OdometryHindsightColumns:
 
     step_hindsight_m: Annotated[
         float | None,
-        _error(
-            "length of the step minus that of the smoothed speed",
-            "m",
-            "no step, no scale, or too few steps around it",
-            "step",
-            4,
-            "near 0",
-            0.05,
-        ),
+        _error(_OF_STEP, "no step, no scale, or no better known speed around it", "step", 0.05, 0.002, decimals=4),
     ] = None
     step_hindsight_std_m: Annotated[float | None, Column(_STD, "m", "the same")] = None
 
@@ -110,7 +83,7 @@ class FrameHindsight(OdometryHindsightColumns, ObjectHindsightColumns, LaneHinds
     """The columns of a frame's row by hindsight."""
 
 
-_TRACK: Final = "track without a second before and after, or one that contradicts itself"
+_TRACK: Final = "no second of the track after it, too little before it, or a track that contradicts itself"
 
 
 @dataclass(frozen=True)
