@@ -38,20 +38,11 @@ _REACH_S: Final = 1.0
 _STEP_REACH_S: Final = 0.5
 _JERK_NOISE: Final = 0.5
 """Standard deviation of the change of a car's acceleration within a second, m/s2. Harder braking has no answer."""
+_POSE: Final = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 FRAME_COLUMNS: Final = (
-    *(
-        "frame",
-        "stamp_ns",
-        "segment",
-        "lane_change",
-        "lane_changes",
-        "odometry_status",
-        "surface_source",
-        "step_m",
-        "step_std_m",
-    ),
-    *("turn_std_deg", *(f"lane_{side}_status" for side in SIDES)),
-    *(f"odom_{name}" for name in ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")),
+    *("frame", "stamp_ns", "segment", "lane_change", "lane_changes", "lane_left_status", "lane_right_status"),
+    *("surface_source", "odometry_status", "step_m", "step_std_m", "turn_std_deg"),
+    *(f"odom_{name}" for name in _POSE),
 )
 OBJECT_COLUMNS: Final = (
     *("frame", "stamp_ns", "track_id", "kept", "distance_m", "distance_std_m", "closing_speed_mps"),
@@ -107,11 +98,9 @@ def frame_hindsight(rows: Rows, claims: Float) -> dict[str, Float]:
         state = claims[:, _SIDE * number : _SIDE * (number + 1)]
         status = rows[f"lane_{side}_status"]
         measured = (status == "measured") & np.isfinite(state[:, 0])
-        name = f"lane_{side}_hindsight"
-        found[f"{name}_m"], found[f"{name}_std_m"], at = _lane(
-            drive, state, measured, lane, np.cumsum(status == "lost")
-        )
-        found[f"{name}_frame"] = _frames(rows, at)
+        errors = _lane(drive, state, measured, lane, np.cumsum(status == "lost"))
+        names = (f"lane_{side}_hindsight_{what}" for what in ("m", "std_m", "frame"))
+        found |= zip(names, (*errors[:2], _frames(rows, errors[2])), strict=True)
     surface = claims[:, 2 * _SIDE :]
     measured = np.isfinite(surface[:, 0]) & ~np.isin(rows["surface_source"], ("held", "estimated"))
     found["surface_height_hindsight_m"], at = _height(drive, surface, measured)
@@ -120,17 +109,15 @@ def frame_hindsight(rows: Rows, claims: Float) -> dict[str, Float]:
 
 
 def _drive(rows: Rows) -> _Drive:
-    number = {name: rows[f"odom_{name}"].astype(float) for name in ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")}
-    place_m = np.stack([number["x_m"], number["y_m"], number["z_m"]], axis=1)
-    turned = np.stack([number["qx"], number["qy"], number["qz"], number["qw"]], axis=1)
-    posed = np.isin(rows["odometry_status"], ("tracked", "first")) & np.isfinite(place_m[:, 0])
+    pose = np.stack([rows[f"odom_{name}"].astype(float) for name in _POSE], axis=1)
+    posed = np.isin(rows["odometry_status"], ("tracked", "first")) & np.isfinite(pose[:, 0])
     begins = ~posed | (rows["odometry_status"] == "first")
     begins[1:] |= rows["segment"][1:] != rows["segment"][:-1]
     turn_std = np.radians(rows["turn_std_deg"].astype(float))
     return _Drive(
         rows["stamp_ns"],
-        rotations_from_quaternions(turned),
-        place_m,
+        rotations_from_quaternions(pose[:, 3:]),
+        pose[:, :3],
         np.where(posed, np.cumsum(begins), np.nan),
         np.nan_to_num(turn_std) ** 2,
     )
