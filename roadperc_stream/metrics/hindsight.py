@@ -35,6 +35,9 @@ _UPPER: Final = np.triu_indices(_STATE)
 CLAIMS: Final = 2 * _SIDE + 4
 """Numbers that a frame keeps beside its row: 176 bytes."""
 _REACH_S: Final = 1.0
+_SPEED_NOISE: Final = 1.5
+"""Standard deviation of the change of a closing speed within a second, m/s: the default of the chain's filter. The
+judge does not change with a setting under test."""
 _STEP_REACH_S: Final = 0.5
 _JERK_NOISE: Final = 0.5
 """Standard deviation of the change of a car's acceleration within a second, m/s2. Harder braking has no answer."""
@@ -220,12 +223,11 @@ def _steps(rows: Rows) -> dict[str, Float]:
     return {"step_hindsight_m": error, "step_hindsight_std_m": std}
 
 
-def object_hindsight(rows: Rows, process_noise: float) -> dict[str, Float]:
+def object_hindsight(rows: Rows) -> dict[str, Float]:
     """The columns of a table of objects by hindsight, (N,) each, NaN without an answer.
 
     Args:
         rows: ``OBJECT_COLUMNS`` of the table.
-        process_noise: standard deviation of the change of a closing speed within a second, m/s.
     """
     number = {name: rows[name].astype(float) for name in OBJECT_COLUMNS[4:]}
     names = ("object_distance", "m"), ("closing_speed", "mps"), ("time_to_impact", "s")
@@ -243,7 +245,7 @@ def object_hindsight(rows: Rows, process_noise: float) -> dict[str, Float]:
         if (np.diff(stamp_ns) <= 0).any():
             continue
         distance_m, std_m = number["distance_m"][own], number["distance_std_m"][own]
-        at = smoothed(stamp_ns, distance_m, std_m, process_noise, _REACH_S)
+        at = smoothed(stamp_ns, distance_m, std_m, _SPEED_NOISE, _REACH_S)
         better = at.value_std <= std_m
         for name, values in _of_track({key: values[own] for key, values in number.items()}, at).items():
             found[name][own[better]] = values[better]

@@ -27,8 +27,8 @@ RECENT_NS: Final = 1_000_000_000
 class Hindsight:
     """What the frames of a replay claim; ``earlier`` are the last rows of the replay that it continues."""
 
-    def __init__(self, earlier: Iterable[Recent], process_noise: float) -> None:
-        self._earlier, self._process_noise = tuple(earlier), process_noise
+    def __init__(self, earlier: Iterable[Recent]) -> None:
+        self._earlier = tuple(earlier)
         self._claims = array("d")
 
     def add(self, claims: Iterable[float]) -> None:
@@ -46,7 +46,7 @@ class Hindsight:
         rows, tracks = frames.columns(FRAME_COLUMNS, rows_before), objects.columns(OBJECT_COLUMNS, tracks_before)
         claims = np.full((len(rows["frame"]), CLAIMS), np.nan)
         claims[len(rows_before) :] = np.reshape(self._claims, (-1, CLAIMS))
-        of_tracks = object_hindsight(tracks, self._process_noise)
+        of_tracks = object_hindsight(tracks)
         found = frame_hindsight(rows, claims) | objects_in_frames(rows, tracks, of_tracks)
         objects.fill(_without(of_tracks, len(tracks_before)))
         frames.fill(_without(found, len(rows_before)))

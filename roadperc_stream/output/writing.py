@@ -162,7 +162,7 @@ class Outputs:
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
         self._reasons: ReasonCounts = {}
         self._contradictions = Contradictions()
-        self._hindsight = Hindsight(earlier, cfg.objects.process_noise)
+        self._hindsight = Hindsight(earlier)
         self._findings: tuple[Finding, ...] = ()
         self._frames_before = 0
         self._resumed_ns: int | None = None

@@ -157,7 +157,7 @@ def test_a_wrong_distance_speed_and_time_are_seen_in_the_track():
     claimed = true_m.copy()
     claimed[20] += 4
     speed_mps = np.where(np.arange(40) == 15, 7.0, 5.0)
-    found = object_hindsight(_track(claimed, closing_speed_mps=speed_mps, time_to_impact_s=true_m / speed_mps), 1.5)
+    found = object_hindsight(_track(claimed, closing_speed_mps=speed_mps, time_to_impact_s=true_m / speed_mps))
     assert found["object_distance_hindsight_m"][20] == pytest.approx(4, abs=0.01)
     assert found["closing_speed_hindsight_mps"][15] == pytest.approx(2, abs=0.05)
     assert found["time_to_impact_hindsight_s"][15] == pytest.approx(true_m[15] / 7 - true_m[15] / 5, abs=0.1)
@@ -166,9 +166,9 @@ def test_a_wrong_distance_speed_and_time_are_seen_in_the_track():
 
 
 def test_a_short_track_and_one_that_becomes_another_object_have_no_answer():
-    assert np.isnan(object_hindsight(_track(40 - np.arange(8.0)), 1.5)["object_distance_hindsight_m"]).all()
+    assert np.isnan(object_hindsight(_track(40 - np.arange(8.0)))["object_distance_hindsight_m"]).all()
     jumps = np.where(np.arange(60) % 2, 20.0, 60.0)
-    assert np.isnan(object_hindsight(_track(jumps), 1.5)["object_distance_hindsight_m"]).all()
+    assert np.isnan(object_hindsight(_track(jumps))["object_distance_hindsight_m"]).all()
 
 
 def test_frames_have_the_mean_error_of_their_objects_and_that_of_the_most_urgent():
