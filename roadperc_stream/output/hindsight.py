@@ -43,7 +43,7 @@ class Hindsight:
         """
         rows_before = [row for row, _ in self._earlier]
         tracks_before = [item for _, items in self._earlier for item in items]
-        rows, tracks = frames.columns(FRAME_COLUMNS, rows_before), objects.columns(OBJECT_COLUMNS, tracks_before)
+        rows, tracks = frames.columns([*FRAME_COLUMNS], rows_before), objects.columns([*OBJECT_COLUMNS], tracks_before)
         claims = np.full((len(rows["frame"]), CLAIMS), np.nan)
         claims[len(rows_before) :] = np.reshape(self._claims, (-1, CLAIMS))
         of_tracks = object_hindsight(tracks)

@@ -3,7 +3,7 @@
 import hashlib
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -283,7 +283,7 @@ class TableWriter:
         """Add entries to the footer, known only after the last row."""
         self._writer.add_key_value_metadata(_encoded({f"{FACT_PREFIX}{key}": value for key, value in facts.items()}))
 
-    def columns(self, names: Sequence[str], earlier: Iterable[Any] = ()) -> dict[str, NDArray[Any]]:
+    def columns(self, names: list[str], earlier: Iterable[Any] = ()) -> dict[str, NDArray[Any]]:
         """Columns of all rows, after those of ``earlier`` rows of the same type; only ``fill`` may follow.
 
         Unknown numbers are NaN, unknown texts empty.
@@ -295,9 +295,10 @@ class TableWriter:
         with target_errors(self._path):
             self._writer.close()
             with pq.ParquetFile(self._temporary) as written:  # read_table would import more of Arrow
-                table = written.read(list(names), use_threads=False)
-        before = pa.Table.from_pylist([{name: cells(row)[name] for name in names} for row in earlier], table.schema)
-        joined = pa.concat_tables([before, table])
+                groups = [written.read_row_group(k, names, use_threads=False) for k in range(written.num_row_groups)]
+        schema = pa.schema([self._schema.field(name) for name in names])
+        before = pa.Table.from_pylist([{name: cells(row)[name] for name in names} for row in earlier], schema)
+        joined = pa.concat_tables([before, *(group.select(names) for group in groups)])
         return {name: _numpy(joined[name]) for name in names}
 
     def fill(self, columns: Mapping[str, Float]) -> None:
