@@ -78,6 +78,10 @@ def _code_of(command: Callable[[], int | None]) -> int:
         code: object = command()
     except SystemExit as end:  # argparse, after the help, the version or a usage error
         code = end.code
+    except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # pydantic wraps it while it serialises settings
+            raise KeyboardInterrupt from error
+        raise
     return code if isinstance(code, int) else EXIT_DONE
 
 

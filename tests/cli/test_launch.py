@@ -132,3 +132,13 @@ def test_a_result_without_a_reader_keeps_its_exit_code(tmp_path, buffering):
         kept = run_command("roadperc-info", cut, stdout=subprocess.PIPE, **options)
     assert (piped.returncode, piped.stderr) == (kept.returncode, kept.stderr)
     assert kept.returncode == 1
+
+
+def test_an_interrupt_inside_a_library_is_one_line(capsys):
+    """Pydantic wraps an interrupt that comes while it serialises settings."""
+
+    def command():
+        raise ValueError("wrapped") from KeyboardInterrupt()
+
+    assert run(command) == 1
+    assert capsys.readouterr().err == "error: interrupted\n"
