@@ -24,7 +24,7 @@ from roadperc_stream.loop import replay
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import Callbacks, ReplaySummary
 from roadperc_stream.resume.opening import ReplayOptions
-from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import not_a_log, scratch_folder
@@ -43,7 +43,7 @@ BEFORE_S: Final = 5.0
 """Shown before a far frame."""
 AFTER_S: Final = 2.0
 """Replayed after the frame, because messages may be logged this long after their stamps."""
-_OF_THE_REPLAY: Final = ("log_id", "config", "frame", "segment", "reasons", "missing", "odom_", *TIME_COLUMNS)
+_OF_THE_REPLAY: Final = ("log_id", "config", "frame", "segment", "reasons", "missing", "odom_", *EXTRA_COLUMNS)
 """Beginnings of columns that are not results, or depend on the part of the log."""
 _SAME: Final = 1e-6
 """Relative difference of numbers below which they are equal, as on another processor."""

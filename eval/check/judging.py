@@ -192,9 +192,10 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
             kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
             columns = _columns_of(criterion)
             of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
-            truth = TRUTH_OF.get(columns[0]) if columns else None
-            decided = truth is not None and table[truth].null_count() < table.height
-            skipped = "truth decides" if decided else "" if of_truth <= known else "no truth"
+            truth = TRUTH_OF.get(criterion.metric or "")
+            skipped = "" if of_truth <= known else "no truth"
+            if truth is not None and table[truth].null_count() < table.height:
+                skipped = "truth decides"
             minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
             parts.append(_Part(run, kept.select("frame", "value"), minutes, skipped))
     return parts

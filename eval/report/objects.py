@@ -20,7 +20,6 @@ from .stages import LISTED
 
 _LOG: Final = "log"
 _CLASS: Final = "class"
-_BY_HINDSIGHT: Final = pl.col("object_distance_hindsight_m")
 OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {_CLASS}
 
 
@@ -43,8 +42,8 @@ def object_slices(source: FrameSource, by: Sequence[str]) -> Results:
     require_roots(by, schema, (), "the tables of objects")
     keys = [key_name(text) for text in by]
     later = not _has_truth(source, rows)
-    distance_error = _BY_HINDSIGHT if later else pl.col("distance_m") - pl.col("true_distance_m")
-    error = distance_error.cast(pl.Float64).abs()
+    signed = pl.col("object_distance_hindsight_m") if later else pl.col("distance_m") - pl.col("true_distance_m")
+    error = signed.cast(pl.Float64).abs()
     known = error.filter(error.is_finite())
     grouped = rows.filter(pl.col("kept")).group_by(as_key(text, schema) for text in by)
     with reading_files(source.object_files):

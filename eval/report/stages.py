@@ -132,9 +132,10 @@ class StageFigures:
         """The figures for other programs."""
         known = {"median": self.median, self.tail_name: self.tail, "worst": self.worst}
         frame = {"worst_frame": self.at.frame, "command": command(self.at)} if self.at else {}
-        more_known = {} if self.answered is None else {"answered": self.answered}
-        names = {"coverage": self.coverage, **more_known, "column": self.quantity.column, "unit": self.quantity.unit}
+        names = {"coverage": self.coverage, "column": self.quantity.column, "unit": self.quantity.unit}
         more: dict[str, Any] = {"states": dict(self.states)} if self.states else {}
+        if self.answered is not None:
+            more["answered"] = self.answered
         if self.telling is not None:
             more[self.telling.quantity.column] = {"coverage": self.telling.coverage, "median": self.telling.median}
         return names | (known | frame if self.median is not None else {"reason": self.reason}) | more

@@ -34,7 +34,8 @@ _SIDE: Final = _STATE + _STATE * (_STATE + 1) // 2
 _UPPER: Final = np.triu_indices(_STATE)
 CLAIMS: Final = 2 * _SIDE + 4
 """Numbers that a frame keeps beside its row: 176 bytes."""
-_REACH_S: Final = 1.0
+REACH_S: Final = 1.0
+"""Time before and after a detection, in which its track judges it."""
 _SPEED_NOISE: Final = 1.5
 """Standard deviation of the change of a closing speed within a second, m/s: the default of the chain's filter. The
 judge does not change with a setting under test."""
@@ -126,7 +127,7 @@ def _drive(rows: Rows) -> _Drive:
     )
 
 
-def _later(drive: _Drive, ahead: Float, measured: Mask) -> Iterator[tuple[NDArray[Any], ...]]:
+def _found_again(drive: _Drive, ahead: Float, measured: Mask) -> Iterator[tuple[NDArray[Any], ...]]:
     """Where each frame's place ahead is found again.
 
     Yields:
@@ -163,7 +164,7 @@ def _lane(
     error, std, at = np.full((3, len(state)), np.nan)
     x = np.full(len(state), LANE_ERROR_AT_M)
     ahead = np.stack([x, _lateral(state, x), np.zeros(len(state))], axis=1)
-    for found in _later(drive, ahead, measured):
+    for found in _found_again(drive, ahead, measured):
         same = lane[found[0]] == lane[found[1]]
         here, later, place, turned = (part[same] for part in found)
         off_m = place[:, 1] - _lateral(state[later], place[:, 0])
@@ -190,7 +191,7 @@ def _height(drive: _Drive, surface: Float, measured: Mask) -> tuple[Float, Float
     """Error of the road's height 10 m ahead, and the row that found it."""
     error, at = np.full((2, len(surface)), np.nan)
     x = np.full(len(surface), LANE_ERROR_AT_M)
-    for here, later, place, _ in _later(drive, np.stack([x, np.zeros_like(x), surface[:, 0]], axis=1), measured):
+    for here, later, place, _ in _found_again(drive, np.stack([x, np.zeros_like(x), surface[:, 0]], axis=1), measured):
         a, b, d = surface[later, 1:].T
         error[here], at[here] = place[:, 2] - (d - a * place[:, 0] - b * place[:, 1]), later
     return error, at
@@ -245,7 +246,7 @@ def object_hindsight(rows: Rows) -> dict[str, Float]:
         if (np.diff(stamp_ns) <= 0).any():
             continue
         distance_m, std_m = number["distance_m"][own], number["distance_std_m"][own]
-        at = smoothed(stamp_ns, distance_m, std_m, _SPEED_NOISE, _REACH_S)
+        at = smoothed(stamp_ns, distance_m, std_m, _SPEED_NOISE, REACH_S)
         better = at.value_std <= std_m
         for name, values in _of_track({key: values[own] for key, values in number.items()}, at).items():
             found[name][own[better]] = values[better]
@@ -282,7 +283,7 @@ def objects_in_frames(frames: Rows, rows: Rows, found: Mapping[str, Float]) -> d
     """
     count, stamp_ns = len(frames["frame"]), frames["stamp_ns"]
     row = np.searchsorted(frames["frame"], rows["frame"])
-    closed = stamp_ns + _REACH_S * NS_PER_S <= stamp_ns[-1:] + JITTER_NS
+    closed = stamp_ns + REACH_S * NS_PER_S <= stamp_ns[-1:] + JITTER_NS
     error_m = np.abs(found["object_distance_hindsight_m"])
     known = np.isfinite(error_m)
     counts = np.bincount(row[known], minlength=count)

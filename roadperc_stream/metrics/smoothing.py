@@ -18,7 +18,7 @@ from roadperc_stream.geometry.arrays import Mask
 from roadperc_stream.system.time import NS_PER_S
 
 _MOST: Final = 10
-"""Most values of a window before and after a time; of more, every second, third and so on is used."""
+"""Most neighbours on either side; of more, every second, third and so on is used."""
 _FEWEST: Final = 4
 _LEAST_SPAN: Final = 1.2
 """Least time between the first and the last neighbour, as a multiple of the reach: some are before, some after."""

@@ -11,17 +11,20 @@ from roadperc_stream.metrics.hindsight import (
     CLAIMS,
     FRAME_COLUMNS,
     OBJECT_COLUMNS,
+    REACH_S,
     frame_hindsight,
     object_hindsight,
     objects_in_frames,
 )
+from roadperc_stream.metrics.smoothing import JITTER_NS
 from roadperc_stream.output.tables import TableWriter
 from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics
+from roadperc_stream.system.time import NS_PER_S
 
 Recent = tuple[FrameMetrics, tuple[ObjectMetrics, ...]]
 """The rows of one frame."""
-RECENT_NS: Final = 1_000_000_000
-"""How long a continued replay needs the rows before it: the reach of the smoothed tracks."""
+RECENT_NS: Final = round(REACH_S * NS_PER_S) + JITTER_NS
+"""How long a continued replay needs the rows before it."""
 
 
 class Hindsight:

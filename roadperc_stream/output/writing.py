@@ -153,8 +153,8 @@ class Outputs:
         earlier: tuple[Recent, ...] = (),
     ) -> None:
         """Name the files; ``earlier`` are the last rows of the replay that this one continues."""
-        self._target, self._cfg, self._input = target, (cfg := log_in.cfg), log_in
-        facts = table_facts(log_in.summary.path, target.path, cfg, facts, log_in.networks)
+        self._target, self._cfg, self._input = target, log_in.cfg, log_in
+        facts = table_facts(log_in.summary.path, target.path, log_in.cfg, facts, log_in.networks)
         self._frames = TableWriter(target.metrics, FrameMetrics, facts, EXTRA_COLUMNS)
         self._objects = TableWriter(target.objects, ObjectMetrics, facts, TRACK_HINDSIGHT)
         self._log = LogWriter(target.path, log_in.summary.profile)

@@ -59,12 +59,15 @@ def test_a_frame_that_does_not_exist_is_an_error(folder, capsys):
 
 def test_a_frame_without_its_log_is_replayed_and_values_that_differ_are_reported(folder, tmp_path, capsys):
     table, target = tmp_path / "lost.metrics.parquet", tmp_path / "a.rrd"
-    table.write_bytes((folder / "base.metrics.parquet").read_bytes())
+    facts = pl.read_parquet_metadata(folder / "base.metrics.parquet")
+    later = pl.lit(0.1)  # a replay up to the frame has no later frames
+    rows = pl.read_parquet(folder / "base.metrics.parquet").with_columns(lane_left_hindsight_m=later)
+    rows.write_parquet(table, metadata=facts)
     assert main([str(table), "--frame", "2", "--save", str(target)]) == 0
     assert "differ" not in capsys.readouterr().out
     assert last_on(target, "up to frame 2") == [0, 1, 2]
     changed = pl.read_parquet(table).with_columns(camera_height_m=pl.lit(9.0))
-    changed.write_parquet(table, metadata=pl.read_parquet_metadata(folder / "base.metrics.parquet"))
+    changed.write_parquet(table, metadata=facts)
     assert main([str(table), "--frame", "2", "--save", str(target), "--force"]) == 0
     assert "note: 1 value of the frame differ: camera_height_m" in capsys.readouterr().out
 

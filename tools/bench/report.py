@@ -21,11 +21,15 @@ from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWrit
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import EXTRA_COLUMNS, TIME_COLUMNS, FrameMetrics, columns_of
+from roadperc_stream.schemas.columns.hindsight import FrameHindsight
 from roadperc_stream.schemas.columns.runs import RUN_TIME_COLUMNS, RunRow
 
 from .replays import cost_of
 
-_COLUMNS: Final = (*(name for name, column in columns_of(FrameMetrics).items() if column.label), *TIME_COLUMNS)
+_COLUMNS: Final = (
+    *(name for row in (FrameMetrics, FrameHindsight) for name, column in columns_of(row).items() if column.label),
+    *TIME_COLUMNS,
+)
 """The columns in a report."""
 _FACTS: Final = {f"{FACT_PREFIX}{key}": "bench" for key in ("config_digest", "version", "log")}
 _CONFIGS: Final = ("00000000", "11111111")

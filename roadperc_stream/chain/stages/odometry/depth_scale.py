@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.odometry.features import TrackingFrame
-from roadperc_stream.chain.stages.odometry.motion import CELLS, Motion
+from roadperc_stream.chain.stages.odometry.motion import Motion, cells
 from roadperc_stream.geometry import Float, Float32, project, transform
 
 _LEAST_POINTS: Final = 5
@@ -79,8 +79,7 @@ def shared_square(ratios: Float, px: Float32, width: int, weights: Float) -> flo
     """
     known = np.isfinite(ratios)
     ratios, weights = ratios[known], weights[known]
-    column, row = (px[known] // (width / CELLS)).astype(int).T
-    _, cell, count = np.unique(row * CELLS + column, return_inverse=True, return_counts=True)
+    _, cell, count = np.unique(cells(px[known], width), return_inverse=True, return_counts=True)
     used = count >= _LEAST_POINTS
     if np.sum(used) < _LEAST_CELLS:
         return None

@@ -17,6 +17,7 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from roadperc_stream.config import scaled
 from roadperc_stream.geometry import Camera, Float, Float32, adjoint, inverse, rays, rigid
@@ -40,7 +41,7 @@ _SINGULAR = 1e12
 """Condition number of normal equations that do not determine the motion."""
 _CONVERGED = 1e-6
 """Metres and radians below which another iteration changes nothing."""
-CELLS: Final = 8
+_CELLS: Final = 8
 """Cells across the image; features within one cell err together."""
 _SYSTEMATIC: Final = 0.001
 """Error shared by all features, as a share of the step; the scatter does not show it. Windows follow a stretch only in
@@ -231,6 +232,12 @@ def step_covariance(
     return tuple(covariance.ravel().tolist())
 
 
+def cells(px: Float32, width: int) -> NDArray[np.intp]:
+    """(N,) cell of the image of (N, 2) pixels; features within one cell err together."""
+    column, row = (px // (width / _CELLS)).astype(int).T
+    return np.asarray(row * _CELLS + column, np.intp)
+
+
 def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
     """(6, 6) covariance of the sum of (N, 6) pulls of features at (N, 2) pixels of an image; zero rows are left out.
 
@@ -240,8 +247,7 @@ def scatter(pulls: Float, key_px: Float32, width: int) -> Float | None:
     pulls, px = pulls[used], key_px[used]
     if len(pulls) <= _FREE:
         return None
-    column, row = (px // (width / CELLS)).astype(int).T
-    _, cell = np.unique(row * CELLS + column, return_inverse=True)
+    _, cell = np.unique(cells(px, width), return_inverse=True)
     together = np.zeros((int(cell.max()) + 1, _FREE))
     np.add.at(together, cell, pulls)
     alone = pulls.T @ pulls * (len(pulls) / (len(pulls) - _FREE))
