@@ -57,15 +57,16 @@ OBJECT_COLUMNS: Final = (
 def claims_of(result: FrameResult) -> tuple[float, ...]:
     """What a frame claims beyond its row, NaN if unknown.
 
-    Offset, heading, curvature and the upper half of their covariance for each side, then the road ahead: its height 10
-    m ahead, and the plane a x + b y + z = d in the ego frame.
+    Offset, heading, curvature and the upper half of their covariance for each side, then the road: its heights 10 m
+    ahead, at the ego origin and ``_FOUND_M`` ahead, and its slope to the left.
     """
     found = [_boundary(result.lanes.side(side)) if isinstance(result.lanes, Lanes) else () for side in SIDES]
     numbers = [number for side in found for number in (side or (np.nan,) * _SIDE)]
     if isinstance(result.surface, Absent) or result.surface.source == "assumed":
         return (*numbers, *(np.nan,) * 4)
-    ahead_m = height_at(result.surface, np.array(LANE_ERROR_AT_M), np.array(0.0))
-    return (*numbers, float(ahead_m), *result.surface.abd)
+    x_m = np.array((LANE_ERROR_AT_M, 0.0, _FOUND_M[1]))
+    heights_m = height_at(result.surface, x_m, np.zeros_like(x_m))
+    return (*numbers, *heights_m.tolist(), -result.surface.abd[1])
 
 
 def _boundary(boundary: Boundary) -> tuple[float, ...]:
@@ -192,8 +193,9 @@ def _height(drive: _Drive, surface: Float, measured: Mask) -> tuple[Float, Float
     error, at = np.full((2, len(surface)), np.nan)
     x = np.full(len(surface), LANE_ERROR_AT_M)
     for here, later, place, _ in _found_again(drive, np.stack([x, np.zeros_like(x), surface[:, 0]], axis=1), measured):
-        a, b, d = surface[later, 1:].T
-        error[here], at[here] = place[:, 2] - (d - a * place[:, 0] - b * place[:, 1]), later
+        here_m, ahead_m, slope = surface[later, 1:].T
+        found_m = here_m + (ahead_m - here_m) * place[:, 0] / _FOUND_M[1] + slope * place[:, 1]
+        error[here], at[here] = place[:, 2] - found_m, later
     return error, at
 
 
