@@ -12,7 +12,14 @@ from importlib import import_module
 from io import TextIOWrapper
 
 from roadperc_stream.errors import RegressionError, RoadpercError
-from roadperc_stream.system.process import PipeOutput, discard_output, ending_signals, interrupt, optional_output
+from roadperc_stream.system.process import (
+    PipeOutput,
+    discard_output,
+    ending_signals,
+    interrupt,
+    interrupted,
+    optional_output,
+)
 from roadperc_stream.system.text import print_line
 
 COMMANDS = {
@@ -79,7 +86,7 @@ def _code_of(command: Callable[[], int | None]) -> int:
     except SystemExit as end:  # argparse, after the help, the version or a usage error
         code = end.code
     except Exception as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # pydantic wraps it while it serialises settings
+        if interrupted():  # pydantic raises its own error if a signal comes while it serialises settings
             raise KeyboardInterrupt from error
         raise
     return code if isinstance(code, int) else EXIT_DONE

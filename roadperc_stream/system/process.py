@@ -15,9 +15,21 @@ def ending_signals() -> list[int]:
     return [number for number in ending if signal.getsignal(number) != signal.SIG_IGN]
 
 
+class _Signals:
+    """Signals that this process received."""
+
+    ended = False
+
+
 def interrupt(_number: int, _frame: object) -> None:
     """End the command as Ctrl-C does."""
+    _Signals.ended = True
     raise KeyboardInterrupt
+
+
+def interrupted() -> bool:
+    """Whether ``interrupt`` was called: a library may raise an error of its own instead of KeyboardInterrupt."""
+    return _Signals.ended
 
 
 @contextmanager
