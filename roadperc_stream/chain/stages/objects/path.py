@@ -30,6 +30,8 @@ _LANE_WIDTH_MIN_M = 2.0
 """Width of the narrowest lane in which the car can drive."""
 _LANE_WIDTH_MAX_M = 5.0
 """In a wider lane, the path is parallel to the boundaries through the car, not in the middle."""
+_DIRECTED_AT_M = 15.0
+"""Distance ahead at which the deviation of a boundary's direction is taken."""
 _PARALLEL = radians(3.0)
 """Largest angle in radians between the boundaries of a lane; where a lane merges or splits, it is larger."""
 OBJECT_LENGTH_M = 5.0
@@ -117,7 +119,9 @@ def path_of(lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
         known = [min(known, key=lambda line: abs(line[1]))]  # the car drives along this one
     width_m = known[0][0] - known[1][0] if len(known) == len(SIDES) else None
     if known and (width_m is None or width_m >= _LANE_WIDTH_MIN_M):
-        offset, heading, curvature = (fsum(values) / len(values) for values in zip(*known, strict=True))
+        offset = fsum(line[0] for line in known) / len(known)
+        total = fsum(line[3] for line in known)
+        heading, curvature = (fsum(line[3] * line[k] for line in known) / total for k in (1, 2))
         changes = None if lanes is None else lanes.lane_changes
         if width_m is None or width_m > _LANE_WIDTH_MAX_M:
             return EgoPath("boundary", 0.0, heading, curvature, None, changes)
@@ -128,11 +132,17 @@ def path_of(lanes: Lanes | None, arc: DrivenArc) -> EgoPath:
     return EgoPath("odometry", curvature_per_m=curvature_per_m)
 
 
-def _known(boundary: Boundary) -> tuple[float, float, float] | None:
-    """Offset, heading and curvature of a boundary that is measured or held."""
+def _known(boundary: Boundary) -> tuple[float, float, float, float] | None:
+    """Offset, heading, curvature of a boundary that is measured or held, and the weight of its direction.
+
+    A boundary whose direction is unsure, such as one that leaves the lane where it splits, hardly bends the path.
+    """
     if boundary.status == "lost" or boundary.offset_m is None or boundary.heading is None:
         return None
-    return boundary.offset_m, boundary.heading, boundary.curvature_per_m or 0.0
+    aside = np.array([0.0, _DIRECTED_AT_M, _DIRECTED_AT_M**2 / 2])
+    variance = float(aside @ np.reshape(boundary.covariance or (0.0,) * 9, (3, 3)) @ aside)
+    weight = 1.0 / (variance + LATERAL_STD_M**2)
+    return boundary.offset_m, boundary.heading, boundary.curvature_per_m or 0.0, weight
 
 
 def extent(frame: Frame, path: EgoPath, item: Object) -> Extent | None:

@@ -67,6 +67,16 @@ def test_the_path_follows_the_boundary_that_the_car_follows_where_a_lane_ends():
     assert path_of(ends, RIGHT_BEND) == EgoPath("boundary", 0.0, 0.01, 0.0, None, 2)
 
 
+def test_where_a_lane_splits_the_path_follows_the_boundary_that_is_sure():
+    lane = lanes(2.0, -1.5, heading=0.01)
+    left, right = lane.boundaries
+    sure, unsure = (tuple(np.diag((0.02, spread, spread / 10)).ravel() ** 2) for spread in (0.001, 0.02))
+    splits = replace(right, heading=0.02, curvature_per_m=-0.004, covariance=unsure)
+    path = path_of(replace(lane, boundaries=(replace(left, covariance=sure), splits)), RIGHT_BEND)
+    assert (path.source, path.offset_m) == ("lane", 0.25)
+    assert abs(left_of(path, np.array([[30.0, 0.25 + 0.3, 0.0]]), np.eye(4))[0]) < 0.2
+
+
 @pytest.mark.parametrize("ego_lane", [None, lanes(None, None), lanes(-1.8, -1.35)])
 def test_the_path_is_the_driven_circle_without_a_lane(ego_lane):
     path = path_of(ego_lane, RIGHT_BEND)
