@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     add(parser, "--results-only", action="store_true", help=results_only)
     overlay = "write /perception/overlay: the camera image with all results drawn"
     add(parser, "--overlay", action="store_true", help=overlay)
-    debug = "write /perception/debug/...: proposed lane lines, odometry matches, template match, disparity"
+    debug = "write /perception/debug/...: plane search, lane lines, odometry matches, template match, disparity"
     add(parser, "--debug", action="store_true", help=debug)
     add(
         parser,

@@ -1,6 +1,6 @@
 """Planes, and the road as a plane or a height field."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry.arrays import Float, Float32, read_only
 from roadperc_stream.geometry.cameras import Camera, rays
+from roadperc_stream.geometry.rotations import transform
 
 SurfaceSource = Literal["depth", "stereo", "lidar", "lower_image", "held", "estimated", "assumed", "truth"]
 SurfaceModel = Literal["plane", "spline"]
@@ -54,12 +55,41 @@ class HeightGrid:
         read_only(self.z_m, np.float32, (None, None), "z_m")
 
 
+@dataclass(frozen=True, eq=False)
+class PlaneSearch:
+    """How RANSAC found a plane, for pictures. Points and triples are in the ego frame, metres.
+
+    ``points`` (N, 3) is the subsample that decides. ``triples`` (K, 3, 3) are the three points of each of the best
+    hypotheses, the best first, and ``shares`` (K,) their shares of points within ``inlier_m``. ``compared`` is the
+    number of all hypotheses that were neither collinear nor tilted.
+    """
+
+    points: Float = field(repr=False)
+    triples: Float = field(repr=False)
+    shares: Float = field(repr=False)
+    compared: int
+    inlier_m: float
+
+    def __post_init__(self) -> None:
+        read_only(self.points, np.float64, (None, 3), "points")
+        read_only(self.triples, np.float64, (None, 3, 3), "triples")
+        read_only(self.shares, np.float64, (len(self.triples),), "shares")
+        if not len(self.points) or not len(self.triples):
+            raise ValueError("a search needs points and a hypothesis")
+
+    def seen_from(self, a_T_b: Float) -> "PlaneSearch":
+        """The same search with its points in frame a."""
+        points, triples = (transform(a_T_b, points_b) for points_b in (self.points, self.triples))
+        return replace(self, points=points, triples=triples)
+
+
 @dataclass(frozen=True)
 class Surface:
     """The road's plane in the frame ``frame_id`` of the camera its depth belongs to, and the same in the ego frame.
 
     ``pitch`` (nose down positive) and ``roll`` (right side down positive) are the camera's against the plane, radians.
     ``inlier_ratio`` is the share of the road's points on the plane, None for a plane that was not fitted to points.
+    ``search`` tells how RANSAC found the plane, None for all others.
     """
 
     source: SurfaceSource
@@ -72,15 +102,23 @@ class Surface:
     inlier_ratio: float | None = None
     model: SurfaceModel = "plane"
     height_grid: HeightGrid | None = None
+    search: PlaneSearch | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def of(
-        cls, source: SurfaceSource, camera: Camera, ego_T_camera: Float, plane: Plane, inlier_ratio: float | None = None
+        cls,
+        source: SurfaceSource,
+        camera: Camera,
+        ego_T_camera: Float,
+        plane: Plane,
+        inlier_ratio: float | None = None,
+        search: PlaneSearch | None = None,
     ) -> "Surface":
         """The surface with a plane in the frame of a camera, whose mounting is (4, 4) ``ego_T_camera``."""
         pitch, roll = camera_pitch_roll(plane)
         ego_plane = transform_plane(ego_T_camera, plane)
-        return cls(source, camera.frame_id, plane, ego_plane, plane.offset_m, pitch, roll, inlier_ratio)
+        height_m = plane.offset_m
+        return cls(source, camera.frame_id, plane, ego_plane, height_m, pitch, roll, inlier_ratio, search=search)
 
     def __str__(self) -> str:
         angles = f"pitch {np.degrees(self.pitch):.2f} deg, roll {np.degrees(self.roll):.2f} deg"

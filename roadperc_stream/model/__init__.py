@@ -2,6 +2,7 @@
 
 from roadperc_stream.geometry.arrays import Ids, Image, Mask, read_only
 from roadperc_stream.geometry.planes import HeightGrid as HeightGrid
+from roadperc_stream.geometry.planes import PlaneSearch as PlaneSearch
 from roadperc_stream.geometry.planes import Surface as Surface
 from roadperc_stream.geometry.planes import SurfaceSource as SurfaceSource
 from roadperc_stream.model.frame import Frame as Frame

@@ -48,6 +48,7 @@ TF_TOPIC: Final = "/perception/tf"
 METRICS_TOPIC: Final = "/perception/metrics"
 LOG_TOPIC: Final = "/perception/log"
 OVERLAY_TOPIC: Final = "/perception/overlay"
+DEBUG_SURFACE_TOPIC: Final = "/perception/debug/surface"
 DEBUG_LANES_TOPIC: Final = "/perception/debug/lanes"
 DEBUG_MATCHES_TOPIC: Final = "/perception/debug/matches"
 DEBUG_TEMPLATE_TOPIC: Final = "/perception/debug/template"
@@ -78,6 +79,7 @@ RESULTS: Final[Mapping[str, str]] = {
 Request = Literal["overlay", "debug"]
 ON_REQUEST: Final[Mapping[str, Request]] = {
     OVERLAY_TOPIC: "overlay",
+    DEBUG_SURFACE_TOPIC: "debug",
     DEBUG_LANES_TOPIC: "debug",
     DEBUG_MATCHES_TOPIC: "debug",
     DEBUG_TEMPLATE_TOPIC: "debug",

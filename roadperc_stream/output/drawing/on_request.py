@@ -9,7 +9,8 @@ import numpy as np
 from roadperc_stream import model
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.formats.images import encode_jpeg
-from roadperc_stream.geometry import Camera, Float32
+from roadperc_stream.geometry import Camera, Float, Float32, inverse, project, transform
+from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Canvas, Colour
@@ -26,11 +27,88 @@ _CHOSEN: Final = bgr(colours.BOUNDARY["measured"])
 _INLIER: Final = bgr(colours.GREEN)
 _OUTLIER: Final[Colour] = (60, 60, 255)
 _PEAK: Final[Colour] = (255, 255, 255)
+_BEST: Final[Colour] = (255, 255, 255)
+_GOOD: Final = bgr(colours.YELLOW)
+_OTHER: Final = bgr(colours.GREY)
+_GOOD_ONES: Final = 5
+"""Hypotheses with a colour; the first one is the best."""
+_SIDE_VIEW: Final = 0.55, 0.36
+"""Shares of the image's columns and rows that the side view covers, in the upper right corner."""
+_SIDE_INLIERS: Final = 5.0
+"""Height above and below the plane at the edges of the side view, in ``inlier_m``."""
 _DIMMED: Final = 0.45
 _HEAT: Final = 0.65
 """Share of the heat map's colour in the pixels that it covers."""
 _NEAREST_M: Final = 2.0
 """Depth of the last colour. It is fixed, so a colour means the same in every frame."""
+
+
+def surface_picture(
+    image_bgr: model.Image, camera: Camera, ego_T_camera: Float, plane: Plane, search: model.PlaneSearch
+) -> model.Image:
+    """RANSAC: green inliers and red outliers of the fitted plane, the best triples, and a side view of the hypotheses.
+
+    ``image_bgr`` is the (H, W, 3) image of ``camera``, whose mounting is ``ego_T_camera``. ``plane`` is in the ego
+    frame.
+    """
+    canvas = _dimmed(image_bgr)
+    camera_T_ego = inverse(ego_T_camera)
+    px = project(camera, transform(camera_T_ego, search.points))
+    inliers = np.abs(plane.distance(search.points)) <= search.inlier_m
+    for chosen, colour in ((inliers, _INLIER), (~inliers, _OUTLIER)):
+        _dots(canvas, px[chosen], colour, max(canvas.line_px // 2, 1))
+    corners = project(camera, transform(camera_T_ego, search.triples[:_GOOD_ONES]))
+    for rank, triangle in reversed(list(enumerate(corners))):
+        canvas.polyline(triangle[[0, 1, 2, 0]], *_look(canvas, rank))
+    rows, columns = image_bgr.shape[:2]
+    side = _side_view(round(columns * _SIDE_VIEW[0]), round(rows * _SIDE_VIEW[1]), plane, search, inliers)
+    canvas.pixels[: side.shape[0], columns - side.shape[1] :] = side
+    legend = (
+        (f"{np.count_nonzero(inliers)} inliers", _INLIER),
+        (f"{np.count_nonzero(~inliers)} outliers", _OUTLIER),
+        (f"best of {search.compared}: {search.shares[0]:.1%}", _BEST),
+        ("the next best", _GOOD),
+    )
+    return _with_legend(canvas, legend)
+
+
+def _look(canvas: Canvas, rank: int) -> tuple[Colour, int]:
+    """Colour and width of a hypothesis; the best one has the rank 0."""
+    if rank >= _GOOD_ONES:
+        return _OTHER, 1
+    return (_GOOD, canvas.line_px) if rank else (_BEST, canvas.broad_px)
+
+
+def _dots(canvas: Canvas, px: Float, colour: Colour, radius_px: int) -> None:
+    for column, row in px[((px >= 0) & (px < canvas.size)).all(axis=1)]:
+        cv2.circle(canvas.pixels, (round(column), round(row)), radius_px, colour, cv2.FILLED, cv2.LINE_AA)
+
+
+def _side_view(columns: int, rows: int, plane: Plane, search: model.PlaneSearch, inliers: model.Mask) -> model.Image:
+    """(rows, columns, 3) heights above the fitted plane, stretched, over the distance ahead.
+
+    Points are dots, at the edge if they are beyond it. Hypotheses are lines along the ego x axis.
+    """
+    canvas = Canvas(np.zeros((rows, columns, 3), np.uint8))
+    farthest_m = max(float(search.points[:, 0].max()), 1.0)
+    highest_m = _SIDE_INLIERS * search.inlier_m
+
+    def placed(ahead_m: Float, height_m: Float) -> Float:
+        x, y = ahead_m / farthest_m * (columns - 1), (1 - height_m / highest_m) / 2 * (rows - 1)
+        return np.stack((x, y), axis=-1)
+
+    for height_m in (-search.inlier_m, search.inlier_m):
+        canvas.polyline(placed(np.array((0.0, farthest_m)), np.full(2, height_m)), _OTHER, 1)
+    heights = np.clip(plane.distance(search.points), -highest_m, highest_m)
+    for chosen, colour in ((inliers, _INLIER), (~inliers, _OUTLIER)):
+        _dots(canvas, placed(search.points[chosen, 0], heights[chosen]), colour, 1)
+    ends = np.array(((0.0, 0.0, 0.0), (farthest_m, 0.0, 0.0)))
+    ends[:, 2] = -plane.distance(ends) / plane.normal[2]
+    for rank, (a, b, c) in reversed(list(enumerate(search.triples))):
+        normal = np.cross(b - a, c - a)
+        canvas.polyline(placed(ends[:, 0], (a - ends) @ normal / (plane.n @ normal)), *_look(canvas, rank))
+    canvas.write_on_plate(f"height ±{highest_m:.2g} m, {farthest_m:.0f} m ahead", (columns, rows), _PEAK)
+    return canvas.pixels
 
 
 def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
@@ -173,6 +251,10 @@ def _pixels(image: model.CameraImage | None) -> model.Image | None:
 
 
 def _debug(frame: model.Frame, image: model.Image | None, result: model.FrameResult) -> Iterator[Picture]:
+    if image is not None and isinstance(result.surface, model.Surface) and result.surface.search is not None:
+        plane, search = result.surface.ego_plane, result.surface.search
+        picture = surface_picture(image, frame.camera, frame.ego_T_camera, plane, search)
+        yield topics.DEBUG_SURFACE_TOPIC, result.frame_id, picture
     if image is not None and isinstance(result.lanes, model.Lanes):
         yield topics.DEBUG_LANES_TOPIC, result.frame_id, lanes_picture(image, result.lanes)
     if image is not None and isinstance(result.odometry, model.Odometry) and result.odometry.matches is not None:

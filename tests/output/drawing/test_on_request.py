@@ -8,14 +8,16 @@ import pytest
 
 from roadperc_stream import log
 from roadperc_stream.config import load_config
-from roadperc_stream.geometry import Camera
+from roadperc_stream.geometry import Camera, mounting
+from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.input.decoding import Context, decode
-from roadperc_stream.model import Boundary, Correlation, Lanes, Matches, StereoDepth
+from roadperc_stream.model import Boundary, Correlation, Lanes, Matches, PlaneSearch, StereoDepth
 from roadperc_stream.output import encoding
 from roadperc_stream.output.drawing.on_request import (
     disparity_picture,
     lanes_picture,
     matches_picture,
+    surface_picture,
     template_picture,
 )
 from roadperc_stream.schemas.record import PRODUCER
@@ -87,7 +89,7 @@ def test_pictures_are_deterministic_and_replaced_by_a_later_replay(folder, tmp_p
 def test_absent_results_have_no_picture(folder, tmp_path):
     cfg = load_config(None, ("odometry.enabled=false", "stereo.method=off"))
     replay(folder / "in.mcap", tmp_path / "out.mcap", cfg, on_request=("debug",))
-    assert set(pictures(tmp_path / "out.mcap")) == {"/perception/debug/lanes"}
+    assert set(pictures(tmp_path / "out.mcap")) == {"/perception/debug/lanes", "/perception/debug/surface"}
 
 
 def test_matches_are_drawn_from_the_second_frame_on(folder):
@@ -150,6 +152,7 @@ def first_picture(path):
     return cv2.VideoCapture(str(path)).read()[1]
 
 
+YELLOW = (26, 230, 255)
 WHITE, GREEN, MAGENTA, BLUE, RED = (255, 255, 255), (77, 230, 26), (255, 60, 255), (255, 204, 26), (60, 60, 255)
 CAMERA = Camera("left", 320, 240, 100.0, 100.0, 159.5, 119.5)
 
@@ -177,6 +180,27 @@ def test_lines_are_drawn_in_the_colour_of_their_kind():
     assert near(picture, BLUE)[180, 200]
     assert near(picture, MAGENTA)[180, 240]
     assert not picture[180, [100, 150, 280]].any()
+
+
+def test_points_triples_and_the_side_view_of_the_plane_search():
+    """The camera is 1.4 m above a flat road, the best hypothesis is the road; a point of 1 m is an outlier."""
+    ahead = np.arange(4.0, 20.0)
+    on_road, above = np.stack((ahead, 0 * ahead, 0 * ahead), axis=1), [[8.0, 2.0, 1.0]]
+    triple, tilted = (
+        [[4.0, -1.0, 0.0], [4.0, 1.0, 0.0], [8.0, 0.0, 0.0]],
+        [[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [9.5, 0.0, 0.125]],
+    )
+    search = PlaneSearch(
+        np.concatenate((on_road, above)), np.array([triple, tilted]), np.array([16 / 17, 0.5]), 9, 0.05
+    )
+    picture = surface_picture(black(), CAMERA, mounting(z=1.4), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0), search)
+    assert near(picture, GREEN)[round(119.5 + 140 / 6), round(159.5)]
+    assert near(picture, RED)[round(119.5 + 40 / 8), round(159.5 - 200 / 8)]
+    assert near(picture, WHITE)[round(119.5 + 140 / 4), [140, 160, 180]].all()
+    side = picture[:86, 320 - 176 :]
+    assert near(side, WHITE)[43, [2, 5, 170]].all()
+    assert near(side, RED)[0, round(8 / 19 * 175)]
+    assert near(side, YELLOW)[round(85 / 4), round(9.5 / 19 * 175)]
 
 
 def test_inliers_and_outliers_end_at_their_current_place():

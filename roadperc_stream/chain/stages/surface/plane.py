@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.geometry.planes import Plane, distance_per_depth, facing, fit_plane, plane_of_scatter
+from roadperc_stream.geometry.planes import Plane, PlaneSearch, distance_per_depth, facing, fit_plane, plane_of_scatter
 from roadperc_stream.kernels import mark_near, moments_near
 from roadperc_stream.kernels.surface_plain import PlaneDistances
 from roadperc_stream.model import Absent, Mask, Reason
@@ -36,6 +36,8 @@ _BATCH: Final = 32
 """Planes evaluated in one matrix product; the search ends after a batch with a good plane."""
 _SUBSAMPLE: Final = 2048
 """Points on which planes are evaluated: this gives the share of inliers to 1 %. The refit uses all points."""
+_KEPT: Final = 32
+"""Hypotheses that a picture of the search can show."""
 _ENOUGH_INLIERS: Final = 0.95
 """Share of inliers that ends the search."""
 _MIN_INLIERS: Final = 0.2
@@ -142,20 +144,21 @@ def number_of(mask: Mask) -> int:
 
 def road_plane(
     cfg: SurfaceConfig, camera: Camera, depth_m: Float32, usable: Mask, up: Float, rng: np.random.Generator
-) -> tuple[Plane, float] | Absent:
-    """The plane, facing the camera, with the most points of the road, and the share of points on it.
+) -> tuple[Plane, float, PlaneSearch] | Absent:
+    """The plane, facing the camera, with the most points of the road, the share of points on it, and its search.
 
     ``depth_m`` is (H, W) metres, ``usable`` (H, W) the pixels of the road with known depth. ``up`` is a (3,) unit
-    vector roughly away from the road, in the camera's frame. ``rng`` draws the hypotheses.
+    vector roughly away from the road, in the camera's frame. ``rng`` draws the hypotheses. The search is in this frame.
     """
     count = number_of(usable)
     if count < 3:
         return Absent(Reason("surface", "too_few_road_points", (count,)))
     chosen = rng.integers(0, count, min(_SUBSAMPLE, count))
     sample = points_of(camera, depth_m, np.flatnonzero(usable)[chosen])
-    plane = _ransac(cfg, sample, up, rng)
-    if plane is None:
+    found = _ransac(cfg, sample, up, rng)
+    if found is None:
         return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))
+    plane, search = found
     # After a cheap refit to the sample, one pass over all points is enough.
     close = np.abs(plane.distance(sample)) <= cfg.inlier_m
     refitted = None
@@ -171,30 +174,36 @@ def road_plane(
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
     inliers = pixels_near(camera, depth_m, plane, cfg.inlier_m, usable)
-    return plane, number_of(inliers) / count
+    return plane, number_of(inliers) / count, search
 
 
-def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> Plane | None:
-    """The hypothesis with the most inliers; None if all have too few."""
-    best, best_share = None, _MIN_INLIERS
+def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> tuple[Plane, PlaneSearch] | None:
+    """The hypothesis with the most inliers, and the search; None if all have too few."""
+    best, best_share, compared = None, _MIN_INLIERS, []
     for tried in range(0, cfg.hypotheses, _BATCH):
         if best_share >= _ENOUGH_INLIERS:
             break
-        normals, offsets = _hypotheses(points, up, cfg.max_tilt_deg, min(_BATCH, cfg.hypotheses - tried), rng)
+        triples, normals, offsets = _hypotheses(points, up, cfg.max_tilt_deg, min(_BATCH, cfg.hypotheses - tried), rng)
         if not len(normals):
             continue
         shares = np.count_nonzero(np.abs(points @ normals.T + offsets) <= cfg.inlier_m, axis=0) / len(points)
+        compared.append((shares, triples))
         top = int(np.argmax(shares))
         if shares[top] > best_share:
             best, best_share = Plane.of(normals[top], float(offsets[top])), float(shares[top])
-    return best
+    if best is None:
+        return None
+    shares, triples = (np.concatenate(parts) for parts in zip(*compared, strict=True))
+    order = np.argsort(-shares, kind="stable")[:_KEPT]
+    return best, PlaneSearch(points, triples[order], shares[order], len(shares), cfg.inlier_m)
 
 
 def _hypotheses(
     points: Float, up: Float, max_tilt_deg: float, count: int, rng: np.random.Generator
-) -> tuple[Float, Float]:
-    """(M, 3) normals, pointing up, and (M,) offsets of planes through three points, not collinear or tilted."""
-    a, b, c = np.moveaxis(points[rng.integers(0, len(points), (count, 3))], 1, 0)
+) -> tuple[Float, Float, Float]:
+    """(M, 3, 3) triples of points, not collinear or tilted, and (M, 3) normals, pointing up, and (M,) offsets."""
+    triples = points[rng.integers(0, len(points), (count, 3))]
+    a, b, c = np.moveaxis(triples, 1, 0)
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     sides = np.linalg.norm(b - a, axis=1) * np.linalg.norm(c - a, axis=1)
@@ -204,7 +213,7 @@ def _hypotheses(
     normals *= np.where(cosines < 0, -1.0, 1.0)[:, None]
     level = np.abs(cosines) >= np.cos(np.radians(max_tilt_deg))
     normals = normals[level]
-    return normals, -np.sum(normals * a[proper][level], axis=1)
+    return triples[proper][level], normals, -np.sum(normals * a[proper][level], axis=1)
 
 
 def leaves_plane(cells: Float) -> bool:

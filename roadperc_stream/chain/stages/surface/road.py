@@ -82,7 +82,8 @@ def fit_surface(cfg: SurfaceConfig, frame: Frame, drivable: Mask | None, rng: np
     found = road_plane(cfg, camera, depth_m, usable, inverse(ego_T_camera)[:3, :3] @ _UP_EGO, rng)
     if isinstance(found, Absent):
         return found
-    surface = Surface.of(source, camera, ego_T_camera, *found)
+    plane, inlier_ratio, search = found
+    surface = Surface.of(source, camera, ego_T_camera, plane, inlier_ratio, search.seen_from(ego_T_camera))
     if cfg.model == "plane":
         return surface
     points, certainty = road_cells(cfg, surface, camera, ego_T_camera, depth_m, usable)

@@ -49,6 +49,20 @@ def test_a_third_of_outliers_does_not_move_the_plane():
     assert 0.6 < surface.inlier_ratio < 0.75
 
 
+def test_the_search_keeps_its_points_and_the_best_hypotheses():
+    """In the ego frame the road is z = 0; a plane through three of its points has nearly all others."""
+    road = Road()
+    depth = road.depth_m()
+    depth[np.random.default_rng(1).random(depth.shape) < 1 / 3] *= np.float32(0.5)
+    search = fit(road, depth, road.tags() == ROAD).search
+    on_road = np.abs(search.points[:, 2]) < search.inlier_m
+    assert on_road.mean() == pytest.approx(2 / 3, abs=0.03)
+    assert search.shares[0] == pytest.approx(on_road.mean(), abs=0.01)
+    assert (np.diff(search.shares) <= 0).all()
+    assert np.abs(search.triples[0, :, 2]).max() < search.inlier_m
+    assert len(search.triples) == 32 <= search.compared <= CFG.hypotheses
+
+
 def test_noise_averages_out():
     road = Road()
     depth = road.depth_m() * np.random.default_rng(2).normal(1, 0.01, (480, 640)).astype(np.float32)
