@@ -321,6 +321,14 @@ def test_sensors_left_out_leave_the_truth_and_change_no_other_file(rendered):
     assert "lidar" not in part.calibration["mounting"]
 
 
+def test_a_dump_without_truth_has_no_poses_either(tmp_path):
+    options = ("--size", "160x120", "--seconds", "0.1", "--tag-noise", "0.05", "--without", "truth")
+    assert main([str(tmp_path / "dump"), *options]) == 0
+    names = {path.name for path in (tmp_path / "dump").iterdir()}
+    assert {"rgb", "depth", "segmentation", "detections.json"} <= names
+    assert not {"truth", "truth.json", "poses.json"} & names
+
+
 WITHOUT_CAMERAS = [word for sensor in SENSORS for word in ("--without", sensor)]
 
 

@@ -17,7 +17,7 @@ from roadperc_stream.system.text import print_line
 from . import dump_files, noise
 from .cameras import CameraPair, make_rig, scan
 from .object_truth import objects_truth
-from .options import SENSORS, RenderOptions
+from .options import SENSORS, TRUTH, RenderOptions
 from .scenario import Scenario
 from .scenes import make_scene
 from .truth import lanes_truth, surface_truth
@@ -105,9 +105,9 @@ class _Job:
         documents = {
             "calibration": dump_files.calibration(self.rig, self.options),
             "detections": self.detections,
-            "poses": self.poses,
-            "truth": self.truth,
         }
+        if TRUTH not in self.options.without:
+            documents |= {"poses": self.poses, "truth": self.truth}
         for name, content in documents.items():
             dump_files.write_json(self.folder / f"{name}.json", content)
         dump_files.write_file(self.folder / "timestamps.txt", "".join(self.stamps).encode())
@@ -134,6 +134,8 @@ class _Job:
                 dump_files.write_picture(self._path(sensor, name), self._picture(frame, sensor, snapshot, left))
         if options.lidar and written[-1]:
             dump_files.write_points(self.folder / dump_files.LIDAR / f"{name}.ply", scan(snapshot))
+        if TRUTH in options.without:
+            return
         if options.tag_noise or options.drop or "segmentation" in options.without:
             dump_files.write_picture(self._path("truth/segmentation", name), dump_files.tags_picture(left.tags))
         if options.depth_noise or options.drop or "depth" in options.without:

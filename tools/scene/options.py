@@ -17,6 +17,7 @@ Exposure = Literal["steps", "frames", "blackouts"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
+TRUTH: Final = "truth"
 """Cameras; each has a folder of its name."""
 MOST_ASIDE_DEG: Final = 80.0
 """Largest angle of view rays from straight ahead over hills: rays must advance along the world's x axis."""
@@ -44,7 +45,7 @@ class RenderOptions:
     jpeg: bool = False
     lidar: bool = False
     without: tuple[str, ...] = ()
-    """Sensors without files, from ``SENSORS``."""
+    """Sensors without files, from ``SENSORS``; with ``TRUTH`` the dump has no poses either, as most recordings."""
     seed: int = 0
     path_truth: bool = False
     """Include the path and lane changes in the truth; other options imply it."""
@@ -199,12 +200,12 @@ _CODING: Final = (
 _PATH: Final = "add objects in the path, times to impact and lane changes to truth.json; other options imply it"
 _TURN: Final = "turn 90 degrees with a radius of 12 m at a crossing without markings, on level ground (left)"
 _BONNET: Final = "the car's own bonnet hides this share of the image's rows (0.4)"
-_LEFT_OUT: Final = {"action": "append", "choices": SENSORS, "metavar": "SENSOR", "default": None}
+_LEFT_OUT: Final = {"action": "append", "choices": (*SENSORS, TRUTH), "metavar": "NAME", "default": None}
 FLAGS: Final[Mapping[str, tuple[Flag, ...]]] = {
     "": (
         _flag("--jpeg", "rgb and right as JPEG"),
         _flag("--lidar", "add a lidar on the roof, 2.4 m high, with exact points"),
-        _flag("--without", f"leave out {', '.join(SENSORS)}", **_LEFT_OUT),
+        _flag("--without", f"leave out {', '.join(SENSORS)} or {TRUTH}", **_LEFT_OUT),
         _number("--seed", "N", (0, 2**32), "seed of all random numbers (0)"),
     ),
     "scene": (
