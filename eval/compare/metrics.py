@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
+from roadperc_stream.schemas.columns.hindsight import FrameHindsight
 
-from ..report_columns import ERRORS, JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH, TRUTH_OF, Quantity
+from ..report_columns import ERRORS, JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH_OF, Quantity
 from ..runs import Run, collect
 from ..scan import objects_of, scan
 from .fields import Overlap
@@ -97,9 +98,10 @@ _BEST_STATES: Final = (
     *((f"lane_{side}_status", "measured", "lanes") for side in SIDES),
     ("odometry_status", "tracked", "odometry"),
 )
+_DECLARED: Final = {**columns_of(FrameMetrics), **columns_of(FrameHindsight)}
 _COVERING: Final = (
     ("surface_source", "surface"),
-    *((q.column, q.stage) for q in (*SEEN, *OFFSETS, *TRUTH) if columns_of(FrameMetrics)[q.column].compares_coverage),
+    *((q.column, q.stage) for q in (*SEEN, *OFFSETS, *ERRORS) if _DECLARED[q.column].compares_coverage),
 )
 METRICS: Final = (
     *map(_error, (*ERRORS, *JITTERS)),
@@ -111,7 +113,8 @@ METRICS: Final = (
 
 Errors and the jitter of lane boundaries are judged over the frames in which both runs have a value; errors by
 hindsight only without the truth of the same output.
-States and coverage are judged over all common frames, as 1 or 0. For outputs without truth (camera height, lane width,
+States and coverage are judged over all common frames, as 1 or 0. A frame covers the time to impact by hindsight if a
+smoothed track confirms that the object nears. For outputs without truth (camera height, lane width,
 inliers) neither side is better, so only the comparison of fields shows them.
 """
 FRAMES: Final = _share("frames.coverage", "frames", pl.lit(value=True))
@@ -168,9 +171,20 @@ def values_of(pairs: Sequence[RunPair], overlaps: Sequence[Overlap]) -> list[lis
         [_values(metric, pair, table) for pair, (table, _) in zip(pairs, joined, strict=True)]
         for metric in (*METRICS, *map(_of_class, labels))
     ]
-    known = [logs for found in every if (logs := [log for log in found if log.base.size])]
+    known = [logs for found in every if (logs := [log for log in found if log.base.size]) and _has_output(logs)]
     names = {logs[0].metric.name for logs in known}
-    return [logs for logs in known if TRUTH_OF.get(logs[0].metric.name) not in names]
+    return [logs for logs in known if _of_truth(logs[0].metric.name) not in names]
+
+
+def _has_output(logs: Sequence[LogValues]) -> bool:
+    """Whether any run has the output: a share of 0 in both runs means that neither has it."""
+    return not logs[0].metric.share or any(log.base.any() or log.new.any() for log in logs)
+
+
+def _of_truth(name: str) -> str:
+    """The metric against truth of a metric by hindsight; empty for other metrics."""
+    column, dot, of = name.partition(".")
+    return f"{TRUTH_OF[column]}{dot}{of}" if column in TRUTH_OF else ""
 
 
 def _joined(pair: RunPair) -> tuple[pl.DataFrame, set[str]]:

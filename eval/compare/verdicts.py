@@ -117,13 +117,7 @@ def verdicts(pairs: Sequence[RunPair], overlaps: Sequence[Overlap], rules: Rules
     Raises:
         TableError: a table's data cannot be read.
     """
-    found = [
-        logs
-        for logs in values_of(pairs, overlaps)
-        if not rules.ignores(logs[0].metric.name)
-        # a share of 0 in both runs means that neither run has the output
-        and not (logs[0].metric.share and not any(log.base.any() or log.new.any() for log in logs))
-    ]
+    found = [logs for logs in values_of(pairs, overlaps) if not rules.ignores(logs[0].metric.name)]
     tests = len({logs[0].metric.group for logs in found})
     return tuple(_judge(logs, rules, tests) for logs in found)
 

@@ -11,12 +11,18 @@ _SEE = "[hindsight](hindsight.md)"
 
 
 def _error(
-    meaning: str, null: str, label: str, limit: float, relevant: float = nan, unit: str = "m", decimals: int = 3
+    meaning: str,
+    null: str,
+    label: str,
+    limit: float,
+    relevant: float = nan,
+    unit: str = "m",
+    decimals: int = 3,
+    *,
+    compares_coverage: bool = False,
 ) -> Column:
     label = f"{label} by hindsight"
-    return Column(
-        meaning, unit, null, label, decimals, "near 0", compares_coverage=False, relevant=relevant, limit=limit
-    )
+    return Column(meaning, unit, null, label, decimals, "near 0", compares_coverage, relevant, limit)
 
 
 def _lane(side: str) -> Column:
@@ -63,7 +69,8 @@ class ObjectHindsightColumns:
         _error(_OF_OBJECTS, "no kept detection with both distances, or the last second", "object distance", 1.0, 0.05),
     ] = None
     time_to_impact_hindsight_s: Annotated[
-        float | None, _error(_OF_IMPACT, "either is unknown", "time to impact", 1.0, unit="s")
+        float | None,
+        _error(_OF_IMPACT, "either is unknown", "time to impact", 1.0, unit="s", compares_coverage=True),
     ] = None
 
 

@@ -89,6 +89,16 @@ def test_compare_judges_hindsight_only_without_the_truth(tmp_path, capsys, truth
     assert ("lane left at 10 m by hindsight" in text) == (not truth)
 
 
+@pytest.mark.parametrize(("truth", "code"), [({}, 1), ({"time_to_impact_error_s": 0.1}, 0)])
+def test_compare_judges_lost_times_to_impact_without_the_truth(tmp_path, capsys, truth, code):
+    later = LATER | {"time_to_impact_hindsight_s": 0.1}
+    base = drive(tmp_path / "base.metrics.parquet", later, worst=None, **truth)
+    new = drive(tmp_path / "new.metrics.parquet", worst=None, **truth)
+    found, text, _ = outcome(compare.main, capsys, base, new)
+    assert found == code
+    assert ("time to impact by hindsight coverage" in text) == (not truth)
+
+
 def test_the_page_shows_the_claiming_and_the_finding_frame(tmp_path, capsys):
     path = drive(tmp_path / "drive.metrics.parquet", LATER | {"lane_left_hindsight_frame": 22.0})
     short(capsys, path, "--html", tmp_path / "page.html")
