@@ -131,7 +131,7 @@ def compare_tables(pair: RunPair, rules: Rules) -> tuple[Overlap, dict[str, Agre
             f"{pair.new.path}: shares no stamp with {pair.base.path}: {found}, expected some of {expected}"
         )
     compared = [name for name in columns if name not in NOT_COMPARED and not rules.ignores(name)]
-    agreements = {name: _column(joined, name, pair.name, rules.tolerance(name)) for name in compared}
+    agreements = {name: column_agreement(joined, name, pair.name, rules.tolerance(name)) for name in compared}
     return Overlap(common, ours.height - common, theirs.height - common), agreements
 
 
@@ -139,7 +139,8 @@ def _rows(run: Run, by_segment: bool) -> pl.DataFrame:
     return collect(numbered(rows_of(run), by_segment), run.source_name)
 
 
-def _column(joined: pl.DataFrame, name: str, run: str, tolerance: float) -> Agreement:
+def column_agreement(joined: pl.DataFrame, name: str, run: str, tolerance: float = 0.0) -> Agreement:
+    """Agreement of a column of two tables, joined row by row; the new table's has the suffix ``NEW``."""
     ours, theirs = _of_one_type(_side(joined, name), _side(joined, name + NEW))
     apart = _distances(ours, theirs)
     beyond = apart > tolerance

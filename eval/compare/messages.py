@@ -43,40 +43,45 @@ def message_agreements(base: Path, new: Path, run: str, rules: Rules) -> dict[st
     Raises:
         LogError: a log cannot be read, or a result in it cannot be decoded.
     """
-    frames = _aligned(_frames(base), _frames(new))
-    return added(_frame_agreements(ours, theirs, (base, new), run, rules) for ours, theirs in frames)
+    frames = aligned(_results(base), _results(new))
+    both = ((ours, theirs) for ours, theirs in frames if ours and theirs)  # the tables report the others
+    return added(frame_agreements(ours, theirs, (base, new), run, rules) for ours, theirs in both)
 
 
-def _frames(path: Path) -> Iterator[tuple[int, Group]]:
-    """Log time and results of each frame, without the metrics, which are in the table."""
+def _results(path: Path) -> Iterator[Message]:
+    """The results in a log, without the metrics, which are in the table."""
     summary = log.summarise(path)
     topics = {channel.topic for channel in summary.channels if is_result(channel)} - {METRICS_TOPIC}
-    results = (message for message in log.read(summary, topics=topics) if is_result(message.channel))
-    for log_time_ns, messages in groupby(results, lambda message: message.log_time_ns):
+    return (message for message in log.read(summary, topics=topics) if is_result(message.channel))
+
+
+def aligned(ours: Iterator[Message], theirs: Iterator[Message]) -> Iterator[tuple[Group, Group]]:
+    """The messages of each log time on both sides, in the order of time; empty if a side has none of that time."""
+    lefts, rights = _groups(ours), _groups(theirs)
+    left, right = next(lefts, None), next(rights, None)
+    while left is not None or right is not None:
+        time_ns = min(side[0] for side in (left, right) if side is not None)
+        here = [side[1] if side is not None and side[0] == time_ns else {} for side in (left, right)]
+        yield here[0], here[1]
+        left = next(lefts, None) if here[0] else left
+        right = next(rights, None) if here[1] else right
+
+
+def _groups(messages: Iterator[Message]) -> Iterator[tuple[int, Group]]:
+    for log_time_ns, at_once in groupby(messages, lambda message: message.log_time_ns):
         group: Group = {}
         counts: dict[str, int] = defaultdict(int)
-        for message in messages:
+        for message in at_once:
             topic = message.channel.topic.removeprefix(RESULT_PREFIX)
             group[topic, counts[topic]] = message
             counts[topic] += 1
         yield log_time_ns, group
 
 
-def _aligned(ours: Iterator[tuple[int, Group]], theirs: Iterator[tuple[int, Group]]) -> Iterator[tuple[Group, Group]]:
-    """Frames of equal log time in both logs; the tables report the others."""
-    left, right = next(ours, None), next(theirs, None)
-    while left is not None and right is not None:
-        if left[0] == right[0]:
-            yield left[1], right[1]
-        behind_left, behind_right = left[0] <= right[0], right[0] <= left[0]
-        left = next(ours, None) if behind_left else left
-        right = next(theirs, None) if behind_right else right
-
-
-def _frame_agreements(
+def frame_agreements(
     ours: Group, theirs: Group, paths: tuple[Path, Path], run: str, rules: Rules
 ) -> dict[str, Agreement]:
-    """Agreements of one frame; a field with several values counts once, with its largest distance."""
+    """Agreements of the messages of one log time; a field with several values counts once, with its largest."""
     found: dict[str, Agreement] = {}
     for topic, nth in dict.fromkeys((*ours, *theirs)):
         pair = ours.get((topic, nth)), theirs.get((topic, nth))

@@ -146,7 +146,7 @@ def _unjudged(found: Comparison) -> Iterator[str]:
     for column in (quantity.column for quantity in SEEN if quantity.unit == RATIO and quantity.column not in judged):
         change = found.columns.get(column)
         if change is not None and change.first is not None and change.largest >= _MUCH:
-            changed = f"{_both(change.first.base, change.first.new)} in frame {change.first.frame}"
+            changed = f"{both_values(change.first.base, change.first.new)} in frame {change.first.frame}"
             frames = number(change.differing, "frame")
             yield f"not judged: {column} {changed}, differs in {frames} by up to {change.largest:.3g}"
 
@@ -174,7 +174,7 @@ def _sentence(finding: MarkedStatistic, *, interval: bool = True) -> str:
 def _values(finding: MarkedStatistic, *, interval: bool = True) -> str:
     """A statistic in both runs with its unit, and its difference with the interval, if it has one."""
     scale, unit = _shown_unit(finding.metric, finding.statistic)
-    shown = _both(finding.base * scale, finding.new * scale) + unit
+    shown = both_values(finding.base * scale, finding.new * scale) + unit
     if finding.interval is None or not interval:
         return shown
     low, high = finding.interval.low * scale, finding.interval.high * scale
@@ -189,8 +189,8 @@ def _shown_unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
     return 1.0, "" if metric.unit in UNITLESS else f" {metric.unit}"
 
 
-def _both(base: Value, new: Value, digits: tuple[int, int] = (3, 6)) -> str:
-    """Both values; with the second number of digits if the first does not show the difference."""
+def both_values(base: Value, new: Value, digits: tuple[int, int] = (3, 6)) -> str:
+    """Both values with an arrow; with the second number of digits if the first does not show the difference."""
     short, long = ([_text(value, count) for value in (base, new)] for count in digits)
     return " → ".join(short if short[0] != short[1] else long)
 
@@ -205,7 +205,7 @@ def _text(value: Value, digits: int) -> str:
 def _where(metric: Metric, place: Place) -> str:
     """The frame, its log, both values, and the command that shows it."""
     scale, unit = _shown_unit(metric, "mean")
-    values_there = _both(place.base * scale, place.new * scale) + unit
+    values_there = both_values(place.base * scale, place.new * scale) + unit
     return f"frame {place.frame} of {place.pair.name}, {values_there}: {_command(place)}"
 
 
@@ -273,7 +273,7 @@ def _fields(found: Comparison, *, all_fields: bool) -> Iterator[str]:
         several = f"{run}: " if are_several else ""
         yield from ("", f"{several}frame {frame}, stamp {stamp_ns}")
         for difference, agreement in group:
-            values = _both(difference.base, difference.new, (6, 17))
+            values = both_values(difference.base, difference.new, (6, 17))
             yield f"  {difference.place}: {values}, {_largest(agreement)}"
     if len(shown) < len(differing):
         yield from ("", f"{len(differing) - len(shown)} more fields differ; pass --exact to list all")

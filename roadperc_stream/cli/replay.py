@@ -36,6 +36,7 @@ example:
   roadperc-replay part_*.mcap out.mcap                                 read several files of one log
   roadperc-replay part_1.mcap out_1.mcap --continue out_0.mcap         continue the result of part_0.mcap
   roadperc-replay long.mcap out.mcap --checkpoint-every 60 --resume    continue after an interruption
+  roadperc-replay logs/sample.mcap out.mcap --verify                   test that own stages are deterministic
   curl https://example.org/in.mcap | roadperc-replay - out.mcap        read a pipe
 """
 
@@ -101,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
         completer=files(".png", ".jpg"),
     )
     add(parser, "--strict", action="store_true", help="stop with an error at the first unusable message")
+    verify = "then replay again with other threads and in two parts, and compare; exit with 1 at a difference"
+    add(parser, "--verify", action="store_true", help=verify)
     add(parser, "--live", action="store_true", help="serve the results to Foxglove during the replay")
     add_shared(
         parser,
@@ -156,6 +159,10 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
         parser.error("--warm-up cannot be combined with --continue, which starts with a state")
     if arguments.resume and not arguments.checkpoint_every:
         parser.error("--resume needs --checkpoint-every")
+    if arguments.verify and arguments.live:
+        parser.error("--verify cannot be combined with --live")
+    if arguments.verify and any(str(path) == "-" or path.is_fifo() for path in arguments.logs[:-1]):
+        parser.error("--verify reads the log several times: expected a file, found a pipe")
     if given_options(arguments) and not arguments.live:
         parser.error(f"--{given_options(arguments)[0]} needs --live")
 

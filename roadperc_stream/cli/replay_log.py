@@ -44,20 +44,24 @@ def replay_log(arguments: argparse.Namespace, live: "LiveReplay | None", bar: Ba
     target = _target(arguments)
     cfg, own = own_stages(config_of(arguments))
     shown = nullcontext(no_progress) if bar is None else bar("replaying", True)
+    source, options = _source(arguments), _options(arguments, own)
     with live or nullcontext():
         with _naming_resume(arguments, target), shown as progress:
-            summary = replay(
-                _source(arguments),
-                target,
-                with_template(cfg, arguments.template, _source(arguments)),
-                _options(arguments, own),
-                Callbacks(progress, live.start, live.times.note) if live else Callbacks(progress),
-            )
+            cfg = with_template(cfg, arguments.template, source)
+            callbacks = Callbacks(progress, live.start, live.times.note) if live else Callbacks(progress)
+            summary = replay(source, target, cfg, options, callbacks)
         if not arguments.quiet:
             with optional_output():
                 _print_summary(target, summary)
         if live:
             live.wait()
+    if arguments.verify:
+        from roadperc_stream.eval.verify import verify
+
+        with nullcontext(no_progress) if bar is None else bar("verifying", True) as progress:
+            lines = verify(source, target, cfg, options, progress)
+        for line in lines if not arguments.quiet else ():
+            print_line(line)
 
 
 @contextmanager
