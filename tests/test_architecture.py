@@ -41,7 +41,7 @@ MAY_IMPORT = {
     "api": REPLAY,
     "info": INPUT | {"input", "output"},
     "view": INPUT | {"input", "output"},
-    "batch": REPLAY,
+    "batch": REPLAY | {"info"},
     "cli": REPLAY | {"batch", "info", "view", "tools", "eval"},
 }
 """Allowed imports of each folder and root module; of the package only commands import tools and eval."""

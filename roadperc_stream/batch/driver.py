@@ -35,6 +35,7 @@ class BatchProgress:
     bytes_expected: int
     done: int = 0
     failed: list[RunRow] = field(default_factory=list)
+    broken: list[RunRow] = field(default_factory=list)
     bytes_done: int = 0
     bytes_running: int = 0
     frames: int = 0
@@ -127,7 +128,10 @@ class Driver:
         log, progress = item.step.log, self._progress
         previous = self.known.get(outcome.log_id or log.name)
         if not outcome.is_new and previous is not None:
-            run = replace(previous, row=_with_name(previous.row, log))
+            row = _with_name(previous.row, log)
+            if outcome.contract is not None:
+                row = replace(row, contract=outcome.contract, broken=outcome.broken)
+            run = replace(previous, row=row)
         else:
             run = BatchRow(_row_of(self.job, log, outcome, previous, item.number), outcome.stages_s)
         if outcome.status not in OF_THE_MACHINE:  # otherwise the content of the file is unknown
@@ -140,6 +144,8 @@ class Driver:
         progress.frames += outcome.frames - outcome.frames_before
         if run.row.status != "done":
             progress.failed.append(run.row)
+        if outcome.broken:
+            progress.broken.append(run.row)
 
     def _add(self, run: BatchRow) -> None:
         self.known.add(run)
@@ -193,13 +199,17 @@ def _with_names(row: RunRow, seen: Mapping[str, str]) -> RunRow:
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """The result of a batch: number of logs, computed frames, rows of failed logs (also of earlier runs)."""
+    """The result of a batch: number of logs, computed frames.
+
+    Rows of failed logs, and of those that break the contract, are also those of earlier runs.
+    """
 
     done: int
     skipped: int
     not_started: int
     frames: int
     failed: tuple[RunRow, ...]
+    broken: tuple[RunRow, ...]
 
 
 StartBackend = Callable[[], Backend]
@@ -244,10 +254,13 @@ class BatchRun:
                 with start() as backend, display() as show:
                     progress = Driver(self._job, backend, self._table, self._known, show).run(steps)
         earlier = [step.previous.row for step in steps if step.is_failed and step.previous is not None]
+        skipped = [step.previous.row for step in steps if step.action == "skip" and step.previous is not None]
+        broken = [row for row in skipped if row.broken] if self._job.contract is not None else []
         return BatchSummary(
             done=progress.done - len(progress.failed),
             skipped=sum(step.action == "skip" for step in steps) - len(earlier),
             not_started=progress.logs - progress.done,
             frames=progress.frames,
             failed=(*earlier, *progress.failed),
+            broken=(*broken, *progress.broken),
         )

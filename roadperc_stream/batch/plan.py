@@ -110,8 +110,10 @@ class Planner:
             return Step(log, "replay", why, run)
         if row.fingerprints[row.names.index(log.name)] != log.fingerprint:
             return Step(log, "check", "the file has changed", run, (row.log_id or "",))
-        if self._job.verify:
-            return Step(log, "check", "--verify", run, (row.log_id or "",))
+        is_judged = self._job.contract is None or row.contract == self._job.contract.name
+        if self._job.verify or not is_judged:
+            why = "--verify" if self._job.verify else "was not judged by this contract"
+            return Step(log, "check", why, run, (row.log_id or "",))
         return Step(log, "skip", "is done", run)
 
     def _of_unknown(self, log: LogFiles, why: str, previous: BatchRow | None = None) -> Step:

@@ -14,6 +14,7 @@ import tomli_w
 
 from roadperc_stream.batch.location import Location, StoredFile
 from roadperc_stream.config import ReplayConfig
+from roadperc_stream.info.contract import Contract
 from roadperc_stream.schemas.columns.runs import RunStatus
 from roadperc_stream.system.files import TABLE_SUFFIX
 from roadperc_stream.system.time import WHOLE, TimeRange
@@ -127,6 +128,7 @@ class BatchJob:
         verify: read every log instead of trusting its size and modification time.
         retry_failed: replay damaged and empty logs again, although they have not changed.
         scratch: folder for temporary files on the workers' machines; None for the dataset, or the system's folder.
+        contract: limits of every log; None without.
     """
 
     configuration: BatchConfiguration
@@ -140,6 +142,7 @@ class BatchJob:
     verify: bool = False
     retry_failed: bool = False
     scratch: Path | None = None
+    contract: Contract | None = None
 
 
 @dataclass(frozen=True)
@@ -190,6 +193,8 @@ class Outcome:
     unreadable: int = 0
     warnings: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
+    contract: str | None = None
+    broken: tuple[str, ...] = ()
     is_new: bool = True
     stages_s: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0

@@ -21,6 +21,7 @@ from roadperc_stream.batch.location import Location
 from roadperc_stream.batch.task import RESULTS_VERSION, BatchJob, Outcome, Task, as_text, this_worker
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.errors import LogError, NoFrameError, RoadpercError, StorageError, TargetError
+from roadperc_stream.info.contract import broken, record
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.loop import replay
 from roadperc_stream.output.tables import copy_table, totals
@@ -52,7 +53,7 @@ def work(task: Task, on_progress: Progress) -> Outcome:
     keep_freed_memory()
     try:
         folder = _folder_for(task)
-        outcome = _outcome_of(task, folder, on_progress)
+        outcome = _judged(_outcome_of(task, folder, on_progress), task, folder)
         if outcome.status not in OF_THE_MACHINE:
             shutil.rmtree(folder, ignore_errors=True)
         with suppress(OSError):  # it has files for the next attempt
@@ -80,6 +81,18 @@ def _outcome_of(task: Task, folder: Path, on_progress: Progress) -> Outcome:
         return Outcome("unfit", _line(error))
     except MemoryError:
         return Outcome("memory", "not enough memory")
+
+
+def _judged(outcome: Outcome, task: Task, folder: Path) -> Outcome:
+    """The outcome with the limits of the contract that the log breaks, unless it cannot be read."""
+    job = task.job
+    if job.contract is None or outcome.status in OF_THE_MACHINE:
+        return outcome
+    with suppress(RoadpercError):
+        recording = record(_fetched(task, folder), dict(job.configuration.topics), job.configuration.cfg)
+        found = tuple(as_text(str(one)) for one in broken(recording, job.contract))
+        return replace(outcome, contract=job.contract.name, broken=found)
+    return outcome
 
 
 def _line(error: Exception) -> str:

@@ -82,7 +82,7 @@ def _add_dataset(group: argparse._ArgumentGroup) -> None:
     ):
         add(group, option, action="store_true", help=text)
     add(group, "--logs", dest="keep_logs", action="store_true", help="also store the result logs in OUT_DIR/logs")
-    add_shared(group, "recover")
+    add_shared(group, "recover", "contract")
 
 
 def _add_workers(group: argparse._ArgumentGroup) -> None:

@@ -18,12 +18,13 @@ from roadperc_stream.batch.worker import scratch_root
 from roadperc_stream.chain.own_stage import own_stages
 from roadperc_stream.cli.arguments import config_of, time_range_of
 from roadperc_stream.errors import ClusterError, RoadpercError
+from roadperc_stream.info.contract import read_contract
 from roadperc_stream.output.tables import config_digest
 from roadperc_stream.output.terminal import PipeConsole
 from roadperc_stream.schemas.columns.runs import RunRow
 from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.process import optional_output
-from roadperc_stream.system.text import number, print_line, shown
+from roadperc_stream.system.text import listed, number, print_line, shown
 from roadperc_stream.system.threads import usable_cores
 
 _SAME_NAMES = ("recover", "retries", "fail_fast", "verify", "retry_failed", "scratch")
@@ -59,6 +60,8 @@ def batch_logs(arguments: argparse.Namespace) -> None:
             _print_summary(job, summary, perf_counter() - started)
         for row in summary.failed:
             print_line(_failure(row))
+        for row in summary.broken:
+            print_line(f"{'broken':<11} {row.path}: {listed(row.broken, 1)}")
     if summary.failed:
         failed = f"{len(summary.failed)} of {number(len(batch.logs), 'log')}"
         raise RoadpercError(f"{job.out.address}: {failed} failed; see status and error in runs.parquet")
@@ -74,6 +77,7 @@ def _job(arguments: argparse.Namespace) -> BatchJob:
         kept if arguments.keep_logs else "no",
         timeout_s=arguments.timeout,
         memory_bytes=arguments.memory,
+        contract=None if arguments.contract is None else read_contract(arguments.contract),
         **{name: getattr(arguments, name) for name in _SAME_NAMES},
     )
 

@@ -46,7 +46,8 @@ COMPLETING = "_ARGCOMPLETE"
 EXIT_DONE, EXIT_ERROR = 0, 1
 EXIT_UNDECIDED = 3
 """Of an error in a command whose exit code 1 is a result."""
-_JUDGING = ("bisect", "check", "compare")
+CONTRACT = "info --contract"
+_JUDGING = ("bisect", "check", "compare", CONTRACT)
 """Commands whose exit code 1 is a result."""
 
 

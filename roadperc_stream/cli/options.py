@@ -72,6 +72,9 @@ SHARED: Final[Mapping[str, dict[str, Any]]] = {
         "append a summary for merge requests to a file such as $GITHUB_STEP_SUMMARY", "FILE", files(".md"), type=Path
     ),
     "junit": _option("write JUnit XML for GitLab, GitHub and Jenkins", "FILE", files(".xml"), type=Path),
+    "contract": _option(
+        "judge each log by this contract, as roadperc-info --init writes it", "FILE.toml", files(".toml"), type=Path
+    ),
     "rate": _option(
         "playback speed (default 1)", "FACTOR", type=number(SLOWEST, FASTEST, f"{SLOWEST:g} to {FASTEST:g}")
     ),

@@ -9,6 +9,7 @@ from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import ConfigError, DumpError, LogError
 from roadperc_stream.geometry import Camera
 from roadperc_stream.info.facts import CameraFacts, FileFacts, LogFacts
+from roadperc_stream.info.measures import Measures
 from roadperc_stream.info.provenance import provenance_of
 from roadperc_stream.info.role_states import roles_of
 from roadperc_stream.info.scan import Scan, channel_facts
@@ -22,10 +23,16 @@ from roadperc_stream.schemas.record import CONVERSION_RECORD, TAG_TABLE_KEY, log
 from roadperc_stream.system.time import ns_to_seconds
 
 
-def examine(source: AnyLog, overrides: Mapping[str, str], cfg: ReplayConfig | None = None) -> LogFacts:
+def examine(
+    source: AnyLog,
+    overrides: Mapping[str, str],
+    cfg: ReplayConfig | None = None,
+    measures: Measures | None = None,
+) -> LogFacts:
     """Return the facts of a log.
 
-    ``overrides`` are topics by role, from ``--topic``; ``cfg`` says what the log does not.
+    ``overrides`` are topics by role, from ``--topic``; ``cfg`` says what the log does not. ``measures`` collects what a
+    contract limits.
 
     Raises:
         LogError: the file cannot be opened, or is not a log. A damaged log raises no error.
@@ -38,14 +45,20 @@ def examine(source: AnyLog, overrides: Mapping[str, str], cfg: ReplayConfig | No
     with suppress(ConfigError):  # the record of a result is listed with its fault
         cfg = with_recorded(cfg, first.described.attachments, first.path)
     tags = [c.source_id for c in present if c.topic == roles.assignment.topics.get("segmentation")]
-    scan = Scan(roles, cfg, InputEvidence(cfg.labels, sum(first.counts[number] for number in tags)))
+    if measures is not None:
+        for channel in present:
+            measures.topics[channel.topic].expected += first.counts[channel.source_id]
+    scan = Scan(roles, cfg, InputEvidence(cfg.labels, sum(first.counts[number] for number in tags)), measures)
     salvage, summary = Salvage(source), None
     scan.run(salvage.messages())
     if first.whole:
         with suppress(LogError):
             summary = log.summarise(source)
     _finish_replay(scan, salvage, summary)
-    return _facts(scan, salvage, summary)
+    facts = _facts(scan, salvage, summary)
+    if measures is not None:
+        measures.end(facts, scan.latched, scan.evidence)
+    return facts
 
 
 def _finish_replay(scan: Scan, salvage: Salvage, summary: LogSummary | None) -> None:

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -144,8 +145,7 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], cfg: ReplayConfig, *
         for item in found:
             if as_json:
                 facts = {"log": str(path), "error": str(item)} if isinstance(item, LogError) else asdict(item)
-                finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # JSON has no NaN and no infinity
-                print(json.dumps(finite, allow_nan=False))
+                print_json(facts)
             elif isinstance(item, LogFacts):  # the error at the end reports unreadable files
                 console = console_for(sys.stdout)
                 print_log(console, item, path)
@@ -156,6 +156,12 @@ def list_logs(paths: Sequence[Path], topics: Sequence[str], cfg: ReplayConfig, *
         _print_joined(console_for(sys.stdout), logs, overrides)
     if faults := list(filter(None, map(_fault, examined))):
         raise LogError(listed(faults, len(faults)))
+
+
+def print_json(facts: Mapping[str, Any]) -> None:
+    """Print facts on one line; JSON has no NaN and no infinity, so they become null."""
+    finite = json.loads(json.dumps(facts), parse_constant=lambda _: None)
+    print(json.dumps(finite, allow_nan=False))
 
 
 def _fault(found: LogFacts | LogError) -> str:

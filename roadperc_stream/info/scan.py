@@ -13,6 +13,7 @@ from roadperc_stream import log
 from roadperc_stream.config import ReplayConfig, SyncConfig
 from roadperc_stream.errors import DecodeError
 from roadperc_stream.info.facts import ChannelFacts, ReplayFacts
+from roadperc_stream.info.measures import Measures
 from roadperc_stream.info.role_states import Roles
 from roadperc_stream.input.decoding import Stamped
 from roadperc_stream.input.earlier_replay import is_result
@@ -85,8 +86,8 @@ class Tally:
 class Scan:
     """Counts the messages of a log, in the order of the file, in the facts of its channels and of its replay."""
 
-    def __init__(self, roles: Roles, cfg: ReplayConfig, evidence: InputEvidence) -> None:
-        self.roles, self.cfg, self.evidence = roles.assignment, cfg, evidence
+    def __init__(self, roles: Roles, cfg: ReplayConfig, evidence: InputEvidence, measures: Measures | None) -> None:
+        self.roles, self.cfg, self.evidence, self.measures = roles.assignment, cfg, evidence, measures
         self.replay = ReplayFacts(
             roles.refusal, roles.options, roles.assignment.notes, roles.states, roles.assignment.reference
         )
@@ -163,6 +164,8 @@ class Scan:
                 self.inputs_back += message.log_time_ns < latest_input_ns
                 latest_input_ns = max(latest_input_ns, message.log_time_ns)
                 self.digest.update(message)
+                if self.measures is not None:
+                    self.measures.count(message)
             yield message
 
     def _to_pair(self, items: Iterable[Stamped]) -> Iterator[Stamped]:
@@ -172,6 +175,8 @@ class Scan:
             topic = self.roles.topics[item.role]
             if self._stamped[topic] == item.role:
                 self._tally_of[topic].add_stamp(item.stamp_ns)
+                if self.measures is not None:
+                    self.measures.topics[topic].add(item)
             if item.is_latched:
                 self.latched = self.latched.updated(item.role, item.payload)
                 continue

@@ -23,6 +23,8 @@ class CameraImage:
     """Reads columns and rows without decoding; None if the format does not allow it."""
     lossless: bool = True
     """Whether the message stores the pixels themselves: raw, or as a PNG."""
+    coding: str = ""
+    """Format of the file, such as ``png``, or encoding of raw pixels, such as ``rgb8``; empty if unknown."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -67,6 +69,9 @@ class DepthImage:
 
     frame_id: str
     decode_depth: Callable[[], tuple[Float32, float]] = field(repr=False)
+    read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
+    """As in ``CameraImage``."""
+    coding: str = ""
 
     @cached_property
     def _decoded(self) -> tuple[Float32, float]:
@@ -89,7 +94,7 @@ class DepthImage:
         Raises:
             DecodeError: as ``depth_m``.
         """
-        return self.depth_m.shape[1], self.depth_m.shape[0]
+        return self.read_size() if self.read_size else (self.depth_m.shape[1], self.depth_m.shape[0])
 
     @property
     def limit_m(self) -> float:
@@ -132,6 +137,9 @@ class TagImage:
     frame_id: str
     table: TagTable
     decode_tags: Callable[[], Image] = field(repr=False)
+    read_size: Callable[[], tuple[int, int]] | None = field(default=None, repr=False)
+    """As in ``CameraImage``."""
+    coding: str = ""
 
     @cached_property
     def tags(self) -> Image:

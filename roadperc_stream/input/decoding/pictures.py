@@ -40,13 +40,13 @@ def raw(kind: Kind) -> Contents:
             images.require_pixels(kind, raster.width, raster.height, context.limits)
         match kind:
             case "image":
-                return CameraImage(frame_id, raster.bgr, raster.grey, raster.size)
+                return CameraImage(frame_id, raster.bgr, raster.grey, raster.size, coding=raster.encoding)
             case "depth":
-                return DepthImage(frame_id, raster.depth)
+                return DepthImage(frame_id, raster.depth, raster.size, raster.encoding)
             case "instances":
                 return InstanceImage(frame_id, raster.ids)
         table = _table_of(context.tag_table, indexed=raster.indexed)
-        return TagImage(frame_id, table, lambda: raster.tags(table))
+        return TagImage(frame_id, table, lambda: raster.tags(table), raster.size, raster.encoding)
 
     return contents
 
@@ -80,7 +80,13 @@ def depth_file(message: Any, context: Context) -> DepthImage:
     The format is ``16UC1; compressedDepth``, ``32FC1; compressedDepth png`` or ``16UC1; png``.
     """
     layout, content = message.format, _data_of(message)
-    return DepthImage(frame_of(message), lambda: _decoded_depth(layout, content, context.limits))
+    file_at = _DEPTH_HEADER.size if "compressedDepth" in layout else 0
+    return DepthImage(
+        frame_of(message),
+        lambda: _decoded_depth(layout, content, context.limits),
+        lambda: images.image_size(content[file_at:], context.limits),
+        layout,
+    )
 
 
 def _of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Picture:
@@ -96,11 +102,12 @@ def _of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Pic
     def bgr() -> Image:
         return images.decode_bgr(content, limits)
 
+    def size() -> tuple[int, int]:
+        return images.image_size(content, limits)
+
+    coding = images.format_of(content).lower()
     if kind == "image":
-        grey, size = images.decode_grey, images.image_size
-        return CameraImage(
-            frame_id, bgr, lambda: grey(content, limits), lambda: size(content, limits), _is_png(content)
-        )
+        return CameraImage(frame_id, bgr, lambda: images.decode_grey(content, limits), size, _is_png(content), coding)
     if kind == "instances":
         if not _is_png(content):
             raise DecodeError("instance masks: expected a lossless PNG with CARLA's coding")
@@ -108,8 +115,8 @@ def _of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Pic
     in_colours = _is_png(content) and content[_COLOUR_TYPE : _COLOUR_TYPE + 1] in _TRUE_COLOURS
     table = _table_of(context.tag_table, indexed=not in_colours)
     if in_colours:
-        return TagImage(frame_id, table, lambda: tags_of_colours(bgr(), table))
-    return TagImage(frame_id, table, lambda: images.decode_indices(content, limits))
+        return TagImage(frame_id, table, lambda: tags_of_colours(bgr(), table), size, coding)
+    return TagImage(frame_id, table, lambda: images.decode_indices(content, limits), size, coding)
 
 
 def _is_png(content: bytes) -> bool:

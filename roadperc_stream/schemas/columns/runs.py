@@ -46,6 +46,11 @@ class RunRow:
     unreadable: Annotated[int, Column("messages that could not be decoded", COUNT)]
     warnings: Annotated[tuple[str, ...], Column("messages saved and lost with `--recover`, and other warnings")]
     findings: Annotated[tuple[str, ...], Column("the [findings](findings.md), as `code: text`")]
+    contract: Annotated[
+        str | None,
+        Column("digest of the contract that judged the log, 8 digits", null="no `--contract`, or unreadable"),
+    ]
+    broken: Annotated[tuple[str, ...], Column("limits of the [contract](recordings.md#contracts) that the log breaks")]
     seconds: Annotated[float, Column("the last attempt, from start to end", "s")]
     peak_memory_mb: Annotated[float | None, Column("peak memory of its process", "MB", "the process was killed")]
     version: Annotated[str, Column("version of the program")]
