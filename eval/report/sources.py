@@ -38,10 +38,12 @@ from ..scan import SEGMENT, difference, finite, neighbour_columns, objects_of, r
 
 RUN: Final = "run"
 """The number of a run, from 0."""
-_MOST_VALUES: Final = 75_000_000
-"""Most values of the columns that are read at a time: 600 MB."""
+_MOST_VALUES: Final = 100_000_000
+"""Most values of the columns that are read at a time: 800 MB."""
 _ROWS: Final = 131_072
-"""Rows of a batch of texts."""
+"""Rows of a batch."""
+_EARLIER: Final = 2
+"""Rows before a row from which its columns are derived."""
 Numbers = NDArray[np.int64]
 """(N,) a whole number for each frame."""
 
@@ -160,25 +162,42 @@ class Frames:
         """Seconds from the run's first frame; a segment starts at the time at which the previous one ended."""
         return float(self.stamp_ns[at] - self.starts_ns[self.segment[at]]) / NS_PER_S
 
-    def columns(self, wanted: Container[str]) -> Iterator[tuple[str, Float]]:
+    def columns(self, wanted: Container[str]) -> Iterator[dict[str, Float]]:
         """The wanted numeric columns of a report, (N,) float64; unknown values are NaN, others may be infinite.
+
+        The columns come in groups; the next group overwrites the arrays of the one before.
 
         Raises:
             TableError: a table cannot be read.
         """
-        derived = {name: column for column in neighbour_columns() if (name := column.meta.output_name()) in wanted}
-        names = [q.column for q in NUMBERS if q.column in wanted and q.column not in derived]
-        most = max(_MOST_VALUES // len(self.run), 1)
+        names = [q.column for q in NUMBERS if q.column in wanted]
+        most = min(max(_MOST_VALUES // len(self.run), 1), len(names))
+        values = np.empty((most, len(self.run)))
         for at in range(0, len(names), most):
-            columns = self.source.collect(*names[at : at + most]).get_columns()[::-1]
-            while columns:
-                column = columns.pop()  # frees the memory of each column after its use
-                yield column.name, column.to_numpy()
+            group = dict(zip(names[at : at + most], values, strict=False))
+            end = 0
+            for batch in self._batches(group):
+                begin, end = end, end + batch.height
+                for name, column in group.items():
+                    column[begin:end] = batch[name].to_numpy()
+            yield group
+
+    def _batches(self, names: Iterable[str]) -> Iterator[pl.DataFrame]:
+        """Stored and derived columns in batches; each is derived together with the last rows of the batch before."""
+        derived = {name: column for column in neighbour_columns() if (name := column.meta.output_name()) in names}
+        roots = {name for column in derived.values() for name in column.meta.root_names()} - {SEGMENT, "stamp_ns"}
+        batches = self.source.batches(*{*names, *roots} - {*derived})
         if not derived:
+            yield from batches
             return
-        table = self.beside(name for column in derived.values() for name in column.meta.root_names())
-        for name, expression in derived.items():
-            yield name, table.select(expression).to_series().to_numpy()
+        earlier = pl.DataFrame(schema=dict.fromkeys(roots, pl.Float64))
+        end = 0
+        for batch in batches:
+            known = pl.concat([earlier, batch.select(finite(earlier.columns))])
+            begin, end = end - earlier.height, end + batch.height
+            own = {SEGMENT: pl.Series(self.segment[begin:end]), "stamp_ns": pl.Series(self.stamp_ns[begin:end])}
+            yield batch.with_columns(known.with_columns(**own).select(*derived.values())[earlier.height :])
+            earlier = known.tail(_EARLIER)
 
     def beside(self, columns: Iterable[str]) -> pl.DataFrame:
         """Some numeric columns beside ``RUN``, ``SEGMENT`` and the stamp; values that are not finite are null.

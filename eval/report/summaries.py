@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Container, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
@@ -28,6 +29,8 @@ ALL: Final = frozenset(quantity.column for quantity in NUMBERS)
 BETWEEN: Final = "\t"
 """Separates a true text from its estimate."""
 _GROUP: Final = "group"
+_THREADS: Final = 2
+"""Columns that are summarised at the same time; each needs memory for several copies."""
 ByColumn = Callable[[str, Float], object]
 _TEXTS: Final = {
     **{name: pl.col(name) for name in CATEGORIES},
@@ -158,8 +161,8 @@ def summarise(
 ) -> list[list[Summary]]:
     """The figures of some ``columns`` in the groups of each grouping, with the ``worst`` frames by each quantity.
 
-    Each column is read once, and ``also`` is called with its name and its values. Summaries of all columns also have
-    counts, correlations and consistency.
+    Each column is read once. ``also`` is called with its name and its values, in several threads. Summaries of all
+    columns also have counts, correlations and consistency.
 
     Raises:
         TableError: a table cannot be read.
@@ -167,22 +170,23 @@ def summarise(
     statistics_by: list[list[dict[str, Statistics]]] = [[{} for _ in groups.names] for groups in groupings]
     worst_by: list[list[dict[str, tuple[WorstFrame, ...]]]] = [[{} for _ in groups.names] for groups in groupings]
     whole = columns is ALL
-    for name, values in frames.columns(columns):
+
+    def add(name: str, values: Float) -> None:
         for k, groups in enumerate(groupings):
             for group, at in enumerate(groups.frames):
                 own = values[at]
-                known = np.isfinite(own)
-                if not known.any():
+                known = own[np.isfinite(own)]
+                if not len(known):
                     continue
-                statistics_by[k][group][name] = statistics(own[known])
-                if (
-                    worst
-                    and name in RANKED
-                    and (ranked := worst_frames(frames, RANKED[name], values, at[known], worst))
-                ):
+                statistics_by[k][group][name] = statistics(known)
+                if worst and name in RANKED and (ranked := worst_frames(frames, RANKED[name], own, at, worst)):
                     worst_by[k][group][name] = ranked
         if also is not None:
             also(name, values)
+
+    with ThreadPoolExecutor(_THREADS) as threads:
+        for of_names in frames.columns(columns):
+            list(threads.map(add, of_names, of_names.values()))
     by_run = _by_run(frames) if whole else {}
     totals = frames.beside(COUNTS) if whole else None
     texts = _texts(frames, groupings, _TEXTS if whole else _STATES)
@@ -202,20 +206,21 @@ def summarise(
 
 
 def worst_frames(frames: Frames, quantity: Quantity, values: Float, at: Numbers, number: int) -> tuple[WorstFrame, ...]:
-    """The worst of the frames ``at`` by (N,) values, the worst first, then the earliest.
+    """The worst of the frames ``at`` by their values, (N,) both, the worst first, then the earliest.
 
-    Frames with the best possible value are left out.
+    Frames with the best possible value are left out, and those whose value is not finite.
     """
     high = quantity.better == "high"
-    badness = -values[at] if high else np.abs(values[at])
+    badness = -values if high else np.abs(values)
     best = (-1.0 if quantity.unit == RATIO else -np.inf) if high else 0.0
-    flawed = badness > best
-    at, badness = at[flawed], badness[flawed]
-    if 0 < number < len(at):
-        least = np.partition(badness, -number)[-number]
-        at, badness = at[badness >= least], badness[badness >= least]
+    flawed = (badness > best) & (badness < np.inf)
+    if 0 < number < np.count_nonzero(flawed):
+        flawed &= badness >= np.partition(badness[flawed], -number)[-number]
+    at, values, badness = at[flawed], values[flawed], badness[flawed]
     order = np.lexsort((frames.stamp_ns[at], frames.segment[at], -badness))[:number]
-    return tuple(frame_at(frames, k, float(values[k])) for k in at[order].tolist())
+    return tuple(
+        frame_at(frames, k, value) for k, value in zip(at[order].tolist(), values[order].tolist(), strict=True)
+    )
 
 
 def frame_at(frames: Frames, at: int, value: float = math.nan) -> WorstFrame:

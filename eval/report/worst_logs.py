@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import polars as pl
+from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import RATIO
@@ -13,6 +15,8 @@ from ..report_columns import COVERED, RANKED, Quantity, ranked
 from .sources import Frames, Numbers
 from .summaries import Groups, WorstFrame, frame_at, worst_frames
 
+Known = NDArray[np.bool_]
+"""(N,) whether a value is known."""
 _OUTPUTS = {column: output for output, column in COVERED.items()}
 
 
@@ -53,7 +57,11 @@ class WorstLogs:
         """Number the runs."""
         runs = np.arange(self.frames.runs.height)
         self._of_runs = Groups(list(map(str, runs)), self.frames.run, runs)
-        self._counts = np.bincount(self.frames.run, minlength=len(runs))
+        self._starts = np.flatnonzero(np.diff(self.frames.run, prepend=-1))
+        self._counts = self._sums(np.ones(len(self.frames.run), bool))
+        names = self.frames.runs.select("log_id" if "log_id" in self.frames.runs.columns else "log", "config")
+        self._logs = names.to_series().to_list()
+        self._places = names.select(pl.struct(pl.all()).rank("ordinal")).to_series().to_numpy()
 
     @property
     def by_quantity(self) -> dict[Quantity, list[WorstLog]]:
@@ -69,25 +77,31 @@ class WorstLogs:
     def add(self, column: str, values: Float) -> None:
         """Rank the logs by the (N,) values of a column."""
         known = np.isfinite(values)
-        valued = np.bincount(self.frames.run[known], minlength=len(self._counts))
+        valued = self._sums(known)
         if column in RANKED and valued.any():
             self.by_column[column] = list(self._ranked(RANKED[column], values, known, valued))
         if column in _OUTPUTS:
             uncovered = list(self._uncovered(known, valued))
             self.by_output |= {_OUTPUTS[column]: uncovered} if uncovered else {}
 
-    def _ranked(self, quantity: Quantity, values: Float, known: Numbers, valued: Numbers) -> Iterator[WorstLog]:
+    def _sums(self, values: Float | Known) -> Float:
+        """The sum of (N,) values over the frames of each run, whose frames mostly follow each other."""
+        sums = np.add.reduceat(values, self._starts, dtype=float)
+        return np.bincount(self.frames.run[self._starts], sums, self.frames.runs.height).astype(float)
+
+    def _ranked(self, quantity: Quantity, values: Float, known: Known, valued: Float) -> Iterator[WorstLog]:
         high = quantity.better == "high"
-        judged = values[known] if high else np.abs(values[known])
-        sums = np.bincount(self.frames.run[known], judged, minlength=len(valued))
+        judged = np.where(known, values, 0.0)
+        sums = self._sums(judged if high else np.abs(judged, out=judged))
+        del judged  # as large as a column
         means = np.divide(sums, valued, out=np.full(len(valued), np.nan), where=valued > 0)
         bad, best = (-means, -1.0 if quantity.unit == RATIO else -math.inf) if high else (means, 0.0)
         for run in self._each_once(np.flatnonzero(bad > best), -bad):
             at = self._of_runs.frames[run]
-            worst = worst_frames(self.frames, quantity, values, at[known[at]], self.number)
+            worst = worst_frames(self.frames, quantity, values[at], at, self.number)
             yield WorstLog(run, float(means[run]), float(valued[run] / self._counts[run]), worst)
 
-    def _uncovered(self, known: Numbers, valued: Numbers) -> Iterator[LeastCovered]:
+    def _uncovered(self, known: Known, valued: Float) -> Iterator[LeastCovered]:
         configs = self.frames.runs["config"]
         enabled = configs.is_in(configs.filter(valued > 0).unique().implode()).to_numpy()
         shares = valued / self._counts
@@ -98,14 +112,15 @@ class WorstLogs:
 
     def _each_once(self, runs: Numbers, order: Float) -> Sequence[int]:
         """The first runs in ascending ``order``, each log under its first configuration only."""
-        ids = self.frames.runs.select("log_id" if "log_id" in self.frames.runs.columns else "log", "config").rows()
         first: dict[str, int] = {}
-        for run in sorted(runs.tolist(), key=lambda run: (order[run], ids[run])):
-            first.setdefault(ids[run][0], run)
-        return list(first.values())[: self.number]
+        for run in runs[np.lexsort((self._places[runs], order[runs]))].tolist():
+            first.setdefault(self._logs[run], run)
+            if len(first) == self.number:
+                break
+        return list(first.values())
 
 
-def longest_without(known: Numbers) -> tuple[int, int]:
+def longest_without(known: Known) -> tuple[int, int]:
     """The first and the last place of the longest stretch of (N,) that is not known, the first of equal ones."""
     edges = np.flatnonzero(np.diff(np.concatenate(([True], known, [True]))))
     begins, ends = edges[::2], edges[1::2]
