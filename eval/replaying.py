@@ -4,7 +4,7 @@
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,13 +27,15 @@ from roadperc_stream.resume.opening import ReplayOptions
 from roadperc_stream.schemas.columns import EXTRA_COLUMNS
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.schemas.topics import ON_REQUEST, Request
 from roadperc_stream.system.files import not_a_log, scratch_folder
 from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.text import listed, number
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
+from roadperc_stream.view.pictures import channel_of_pictures
 
-from .runs import Run, collect
+from .runs import Run, collect, find_runs
 from .scan import rows_of
 
 _FAR_S: Final = 60.0
@@ -91,23 +93,31 @@ class FrameToShow:
 class Part:
     """The part of a log to replay: up to a frame, or around the first and the last stamp ``span_ns`` of an excerpt.
 
-    ``target`` keeps the replay; None writes it into a temporary folder.
+    ``target`` keeps the replay; None writes it into a temporary folder, with the pictures ``on_request``.
     """
 
     frame: int
     span_ns: tuple[int, int] | None = None
     target: ReplayTarget | None = None
+    on_request: Collection[Request] = ()
 
 
 def shown(
-    run: Run | Path, frame: int | None, topics: Sequence[str], changed: Sequence[str], files: ExitStack, bar: Progress
+    run: Run | Path,
+    frame: int | None,
+    topics: Mapping[str, str],
+    picture: str,
+    changed: Sequence[str],
+    files: ExitStack,
+    bar: Progress,
 ) -> FrameToShow:
     """The log of a run, or a replay of its input up to a frame.
 
     Args:
         run: a run, or a log.
         frame: number of the frame in the table.
-        topics: ``ROLE=/TOPIC``, as in the recorded replay.
+        topics: topic by role, as in the recorded replay.
+        picture: topic of the debug picture to show; a log without it is replayed. Empty for none.
         changed: settings ``KEY=VALUE``; a stage of the user's own must be among them to run.
         files: removes a replayed log when it closes.
         bar: called with frames done and expected.
@@ -117,14 +127,15 @@ def shown(
         LogError: the input is missing or is not the log of the table.
         ConfigError: a stage of the user's own is not repeated.
     """
-    if isinstance(run, Path):
-        return FrameToShow(run, frame)
-    if kept := kept_log(run):
+    kept = run if isinstance(run, Path) else kept_log(run)
+    requests = {request for topic, request in ON_REQUEST.items() if topic == picture and request == "debug"}
+    if kept and not (requests and channel_of_pictures(log.summarise(kept), picture) is None):
         return FrameToShow(kept, frame)
+    run = find_runs([str(run)])[0] if isinstance(run, Path) else run
     if frame is None:
         raise TableError(f"{run.path}: its result log was not kept; pass --frame N or --worst COLUMN")
     folder = files.enter_context(scratch_folder(Path(gettempdir(), "roadperc-view")))
-    return replayed(run, Part(frame), topics, changed, folder, bar)
+    return replayed(run, Part(frame, on_request=requests), topics, changed, folder, bar)
 
 
 def kept_log(run: Run) -> Path | None:
@@ -141,7 +152,7 @@ def recorded_config(run: Run, changed: Sequence[str], folder: Path) -> ReplayCon
 
 
 def replayed(
-    run: Run, part: Part, topics: Sequence[str], changed: Sequence[str], folder: Path, progress: Progress
+    run: Run, part: Part, topics: Mapping[str, str], changed: Sequence[str], folder: Path, progress: Progress
 ) -> FrameToShow:
     """A replay of a part of a run's input; the arguments and errors are those of ``shown``, ``folder`` is temporary."""
     if not run.source or not run.config:
@@ -156,8 +167,8 @@ def replayed(
         raise ConfigError(f"{run.path}: used a stage of your own; to run its code, pass {' '.join(missing)}")
     path, (overrides, recorded) = _input(run, folder), _options(run)
     time_range, warm_up_s = _time_range(row, part, recorded, log.summarise(path).first_ns or 0)
-    source = ReplaySource(path, overrides | parse_topic_options(topics), time_range, recover=True)
-    target = part.target or ReplayTarget(folder / "out.mcap")
+    source = ReplaySource(path, {**overrides, **topics}, time_range, recover=True)
+    target = part.target or ReplayTarget(folder / "out.mcap", on_request=part.on_request)
     replay_with(source, target, cfg, warm_up_s=warm_up_s, progress=progress)
     again = pl.read_parquet(target.metrics, glob=False).filter(pl.col("stamp_ns") == row["stamp_ns"])
     if again.is_empty():
@@ -182,6 +193,8 @@ def _input(run: Run, folder: Path) -> Path:
         Location(run.source).fetch(copy)
         return copy
     if not Path(run.source).exists():
+        if kept := kept_log(run):  # it has copies of the input's messages
+            return kept
         raise LogError(f"{run.source}: no such file: {run.name} has no result log; put the input log there")
     return Path(run.source)
 

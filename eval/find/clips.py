@@ -14,6 +14,7 @@ from roadperc_stream.log import LogWriter, Metadata
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
+from roadperc_stream.schemas.roles import parse_topic_options
 from roadperc_stream.system.files import scratch_folder
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
@@ -58,13 +59,13 @@ def _write(event: Event, run: Run, clips: Clips) -> tuple[str, ...]:
             return ()
         part = Part(event.peak_frame, (event.first_ns, event.last_ns), target)
         with frame_progress("clip", enabled=True) as progress:
-            return replayed(run, part, clips.topics, clips.changed, folder, progress).notes
+            return replayed(run, part, parse_topic_options(clips.topics), clips.changed, folder, progress).notes
 
 
 def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:
     """Copy the messages and the results around an event, and the calibrations and transforms that hold there."""
     first, last = event.first_frame, event.last_frame
-    around = [ns for frame, ns in frame_times(source).items() if first <= frame <= last]
+    around = [stop.log_time_ns for frame, stop in frame_times(source).items() if first <= frame <= last]
     if not around:
         raise LogError(f"{source}: has no results of the frames {first} to {last}; it is not the log of the run")
     begin_ns = log.summarise(source).first_ns or 0

@@ -1,4 +1,4 @@
-"""``roadperc-view``: show a log in Rerun or Foxglove, or write a video."""
+"""``roadperc-view``: show a log in Rerun or Foxglove, or write a picture or a video."""
 
 import argparse
 from contextlib import ExitStack
@@ -13,6 +13,7 @@ from roadperc_stream.cli.options import add, add_serving, add_shared, command_pa
 from roadperc_stream.cli.values import number
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.roles import parse_topic_options
+from roadperc_stream.schemas.topics import DEBUG_PREFIX, OVERLAY_TOPIC
 from roadperc_stream.system.files import is_bag_folder
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ example:
   roadperc-view out.mcap --foxglove                     in Foxglove: Open connection, ws://localhost:8765
   roadperc-view out.mcap --foxglove-layout road.json    in Foxglove: Import layout from file
   roadperc-view out.mcap --foxglove --foxglove-layout live.json    a layout with the times of the stages
-  roadperc-view out.mcap --video out.mp4                write a video
+  roadperc-view out.mcap --frame 34 --png frame.png     write one picture: a frame with its results
+  roadperc-view out.mcap --frame 34 --png edges.png --topic /perception/debug/lanes
+  roadperc-view out.mcap --video out.webm               write a video
 
 Input logs work too. For channels that this project does not know, use: rerun LOG.mcap
 """
@@ -61,15 +64,18 @@ def _show(logs: "Sequence[AnyLog]", stop: "Stop | None", arguments: argparse.Nam
     """Show one or two runs from a frame on in Rerun or Foxglove, or write a layout, a recording or a video."""
     from roadperc_stream.view import modes
 
-    topics = parse_topic_options(arguments.topic)
+    topics, picture = _roles(arguments), _picture(arguments)
     layout, live, force, quiet = arguments.foxglove_layout, arguments.foxglove, arguments.force, arguments.quiet
     if layout:
         modes.lay_out(logs[0] if logs else None, layout, topics, live=live, force=force, quiet=quiet)
     if live:
         playback = replace(serving_options(arguments), start_s=arguments.start or 0.0)
         modes.serve(logs[0], stop, playback, quiet=quiet)
+    elif arguments.png:
+        assert stop is not None  # --png needs a frame
+        modes.save_picture(logs[0], stop, picture, arguments.png, force=force, quiet=quiet)
     elif arguments.video:
-        modes.record_video(logs[0], arguments.video, force=force, quiet=quiet)
+        modes.record_video(logs[0], arguments.video, picture, force=force, quiet=quiet)
     elif not layout:
         modes.show_in_rerun(logs, stop, arguments.save, topics, force=force, quiet=quiet)
 
@@ -91,7 +97,8 @@ def _view_runs(arguments: argparse.Namespace) -> None:
             raise TableError(f"{' '.join(names)}: expected at most two runs, found {len(runs)}")
         frame = worst_frame(runs[-1], arguments.worst) if arguments.worst else arguments.frame
         with frame_progress("replaying", not arguments.quiet) as progress:
-            found = [shown(one, frame, arguments.topic, arguments.set, files, progress) for one in runs]
+            asked = _roles(arguments), _picture(arguments) if arguments.png else ""
+            found = [shown(one, frame, *asked, arguments.set, files, progress) for one in runs]
         if not arguments.quiet:
             print_remarks((note for item in found for note in item.notes), {})
         logs, number_in_log = [item.log for item in found], found[0].number
@@ -104,12 +111,26 @@ def _needs_lookup(arguments: argparse.Namespace) -> bool:
     path = Path(arguments.log or "-")
     is_file = path.exists() and not path.is_dir() and path.suffix != ".parquet"
     is_log = str(path) == "-" or is_file or is_bag_folder(path)
-    return not is_log or any((arguments.new, arguments.worst, arguments.of_log, arguments.config))
+    is_debug = bool(arguments.png) and _picture(arguments).startswith(DEBUG_PREFIX)
+    return not is_log or is_debug or any((arguments.new, arguments.worst, arguments.of_log, arguments.config))
+
+
+def _roles(arguments: argparse.Namespace) -> dict[str, str]:
+    """The topics by role; a picture's topic has no role."""
+    pictures = arguments.png or arguments.video
+    return parse_topic_options(name for name in arguments.topic if not (pictures and name.startswith("/")))
+
+
+def _picture(arguments: argparse.Namespace) -> str:
+    """The topic of the picture or the video."""
+    return next((name for name in arguments.topic if name.startswith("/")), OVERLAY_TOPIC)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(
-        "view", "Show a log in the Rerun viewer or in Foxglove, or write a recording, a layout or a video.", _EXAMPLE
+        "view",
+        "Show a log in Rerun or Foxglove, or write a picture, a video, a recording or a layout.",
+        _EXAMPLE,
     )
     run_help = "OUT.mcap, OUT.metrics.parquet, an input log, a dataset; - for a pipe"
     add(parser, "log", metavar="RUN", nargs="?", help=run_help, completer=files(*RUNS))
@@ -131,14 +152,16 @@ def _parser() -> argparse.ArgumentParser:
     save = "write a Rerun recording, and open no viewer"
     add(output, "--save", metavar="FILE.rrd", type=Path, help=save, completer=files(".rrd"))
     add(output, "--foxglove", action="store_true", help="play the log to Foxglove")
-    video = "write a video of the log"
-    add(output, "--video", metavar="FILE.mp4", type=Path, help=video, completer=files(".mp4"))
+    png = "write the picture of one frame: the overlay, or that of --topic"
+    add(output, "--png", metavar="FILE.png", type=Path, help=png, completer=files(".png"))
+    video = "write a video of the overlays, or of --topic; .mp4 is smaller, .webm takes a third of the time"
+    add(output, "--video", metavar="FILE.webm", type=Path, help=video, completer=files(".webm", ".mp4"))
     layout = "write a Foxglove layout for the log; with --foxglove it shows the times of the stages"
     add(parser, "--foxglove-layout", metavar="FILE.json", type=Path, help=layout, completer=files(".json"))
     add_shared(
         parser,
-        "topic",
         "quiet",
+        topic="use this topic for a role; with --png and --video /NAME is the topic of the picture",
         set="if a frame is replayed: change a setting of the run, or repeat STAGE.implementation=MODULE:NAME",
         recover="show the readable part of a damaged log",
         force="replace an existing file",
@@ -149,22 +172,36 @@ def _parser() -> argparse.ArgumentParser:
 
 def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
     """Exit with code 2 if the log is missing or an option does not apply to the chosen output."""
-    if arguments.log is None and (arguments.foxglove_layout is None or arguments.topic or arguments.foxglove):
-        parser.error("expected a log: OUT.mcap")
+    layout, live, png, video = arguments.foxglove_layout, arguments.foxglove, arguments.png, arguments.video
     pair = arguments.new is not None or len(arguments.config) > 1
     at_frame = arguments.frame is not None or arguments.worst
-    if (pair or at_frame) and (arguments.video or arguments.foxglove_layout):
-        parser.error("--frame, --worst and NEW apply only to the Rerun viewer, --save and --foxglove")
-    if pair and arguments.foxglove:
-        parser.error("--foxglove plays one log; remove NEW")
-    if at_frame and arguments.start is not None:
-        parser.error("--frame and --worst cannot be combined with --start")
-    if arguments.foxglove_layout and (arguments.save or arguments.video):
-        parser.error("--foxglove-layout cannot be combined with --save or --video")
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
-    if served and not arguments.foxglove:
-        parser.error(f"--{served[0]} needs --foxglove")
-    if arguments.topic and (arguments.video or (arguments.foxglove and not arguments.foxglove_layout)):
-        parser.error("--topic applies only to the Rerun viewer, --save and --foxglove-layout")
-    if arguments.force and not (arguments.save or arguments.foxglove_layout or arguments.video):
-        parser.error("--force needs --save, --foxglove-layout or --video")
+    by_role = [name for name in arguments.topic if not name.startswith("/")]
+    refused = (
+        (arguments.log is None and (layout is None or arguments.topic or live), "expected a log: OUT.mcap"),
+        (
+            (pair or at_frame) and (video or layout),
+            "--frame, --worst and NEW apply only to the Rerun viewer, --save, --png and --foxglove",
+        ),
+        (pair and live, "--foxglove plays one log; remove NEW"),
+        (pair and png, "--png shows one log; remove NEW"),
+        (png and not at_frame, "--png shows one frame; pass --frame N or --worst COLUMN"),
+        (at_frame and arguments.start is not None, "--frame and --worst cannot be combined with --start"),
+        (
+            layout and (arguments.save or png or video),
+            "--foxglove-layout cannot be combined with --save, --png or --video",
+        ),
+        (served and not live, f"--{''.join(served[:1])} needs --foxglove"),
+        (
+            by_role and (video or (live and not layout)),
+            "--topic ROLE=/NAME applies only to the Rerun viewer, --save, --png and --foxglove-layout",
+        ),
+        (len(arguments.topic) - len(by_role) > 1, "--topic /NAME: expected the topic of one picture"),
+        (
+            arguments.force and not (arguments.save or layout or png or video),
+            "--force needs --save, --foxglove-layout, --png or --video",
+        ),
+    )
+    for is_wrong, text in refused:
+        if is_wrong:
+            parser.error(text)

@@ -52,7 +52,7 @@ def _difference(
     name: str, column: Column, pairs: list[tuple[int, FrameMetrics, FrameMetrics]]
 ) -> MetricDifference | None:
     """The difference in a column; None if it is nowhere relevant."""
-    rows = [(t, row.frame, getattr(row, name), getattr(other, name)) for t, row, other in pairs]
+    rows = [(t, row, getattr(row, name), getattr(other, name)) for t, row, other in pairs]
     known = [row for row in rows if row[2] is not None and row[3] is not None]
     if not known:
         return None
@@ -62,8 +62,8 @@ def _difference(
     if np.abs(effects).max() < 1:
         return None
     at = int(effects.argmax())
-    time_ns, frame, *_ = known[at]
-    worst = Stop(frame, time_ns) if effects[at] >= 1 else None
-    text = f"frame {frame}: {name} {base[at]:.4g} to {new[at]:.4g}"
+    time_ns, row, *_ = known[at]
+    worst = Stop(row.frame, time_ns, row.stamp_ns) if effects[at] >= 1 else None
+    text = f"frame {row.frame}: {name} {base[at]:.4g} to {new[at]:.4g}"
     times_ns = np.array([row[0] for row in known], np.int64)
     return MetricDifference(name, column, times_ns, values, worst, float(effects[at]), text)

@@ -10,10 +10,11 @@ from roadperc_stream.view.result_frames import read_rows
 
 @dataclass(frozen=True)
 class Stop:
-    """The frame to open at: its number, and its log time."""
+    """The frame to open at: its number, the log time of its results, and its stamp."""
 
     frame: int
     log_time_ns: int
+    stamp_ns: int
 
     @property
     def name(self) -> str:
@@ -21,13 +22,14 @@ class Stop:
         return f"up to frame {self.frame}"
 
 
-def frame_times(path: log.AnyLog) -> dict[int, int]:
-    """The log time in nanoseconds of every frame of a log with results, by its number in the metrics.
+def frame_times(path: log.AnyLog) -> dict[int, Stop]:
+    """The times of every frame of a log with results, by its number in the metrics.
 
     Raises:
         LogError: the log cannot be read.
     """
-    return {row.frame: log_time_ns for log_time_ns, row in read_rows(log.summarise(path), Problems())}
+    rows = read_rows(log.summarise(path), Problems())
+    return {row.frame: Stop(row.frame, log_time_ns, row.stamp_ns) for log_time_ns, row in rows}
 
 
 def find_stop(path: log.AnyLog, frame: int) -> Stop:
@@ -36,8 +38,8 @@ def find_stop(path: log.AnyLog, frame: int) -> Stop:
     Raises:
         LogError: the log cannot be read, or has no such frame.
     """
-    times_ns = frame_times(path)
-    if frame not in times_ns:
-        known = f"expected {min(times_ns)} to {max(times_ns)}" if times_ns else "the log has no results"
+    stops = frame_times(path)
+    if frame not in stops:
+        known = f"expected {min(stops)} to {max(stops)}" if stops else "the log has no results"
         raise LogError(f"{path}: no frame {frame}; {known}")
-    return Stop(frame, times_ns[frame])
+    return stops[frame]

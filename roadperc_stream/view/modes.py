@@ -1,4 +1,4 @@
-"""Runs the modes of roadperc-view: Rerun, Foxglove, layout and video."""
+"""Runs the modes of roadperc-view: Rerun, Foxglove, layout, picture and video."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +16,7 @@ from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.layout.filling import write_layout
 from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live.serving import log_with_times, serve_log
+from roadperc_stream.view.pictures import write_picture
 from roadperc_stream.view.video import write_video
 
 
@@ -58,14 +59,25 @@ def lay_out(
         print_line(f"wrote {target}")
 
 
-def record_video(source: log.AnyLog, target: Path, *, force: bool, quiet: bool) -> None:
+def save_picture(source: log.AnyLog, stop: Stop, topic: str, target: Path, *, force: bool, quiet: bool) -> None:
+    """Write the picture of a frame.
+
+    Raises:
+        RoadpercError: as ``write_picture``.
+    """
+    columns, rows = write_picture(source, stop, topic, target, force=force)
+    if not quiet:
+        print_line(f"wrote {target} ({columns}x{rows}, {topic} of frame {stop.frame})")
+
+
+def record_video(source: log.AnyLog, target: Path, topic: str, *, force: bool, quiet: bool) -> None:
     """Write a video of a log.
 
     Raises:
         RoadpercError: as ``write_video``.
     """
     with frame_progress("writing", not quiet) as progress:
-        video = write_video(source, target, force=force, progress=progress)
+        video = write_video(source, target, topic, force=force, progress=progress)
     if not quiet:
         print_remarks(video.problems.first.values(), video.problems.counts)
         print_line(f"wrote {target} ({video.pictures} pictures at {video.rate_hz:.3g} Hz, of {video.frames} frames)")

@@ -357,10 +357,10 @@ def test_a_result_does_not_import_code(folder):
     run = open_run(folder / "run.metrics.parquet", "run")
     asked = "lanes.implementation=counting:Counting"
     with ExitStack() as files, pytest.raises(ConfigError, match=f"own; to run its code, pass --set {asked}$"):
-        shown(run, 1, (), (), files, lambda *_: None)
+        shown(run, 1, {}, "", (), files, lambda *_: None)
     assert "counting" not in sys.modules
     with ExitStack() as files:
-        found = shown(run, 1, (), (asked,), files, lambda *_: None)
+        found = shown(run, 1, {}, "", (asked,), files, lambda *_: None)
         assert found.notes == ()
         assert offsets(found.log) == [1.0, 2.0]
 

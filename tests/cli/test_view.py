@@ -32,11 +32,13 @@ def test_the_command_that_opens_a_recording_is_quoted(tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1] == f"wrote {target}; open it with: rerun '{target}'"
 
 
-@pytest.mark.parametrize("option", ["--save", "--foxglove-layout", "--video"])
+@pytest.mark.parametrize("option", ["--save", "--foxglove-layout", "--video", "--frame=0 --png"])
 def test_a_log_is_not_replaced_by_another_kind_of_file(source, option, capsys):
     other = source.with_name("other.mcap")
     other.write_bytes(b"a log")
-    assert main([str(source), option, str(other), "--force"]) == 1
+    if "--png" in option:
+        replay(source, source := source.with_name("out.mcap"), load_config(None, ()))
+    assert main([str(source), *option.split(), str(other), "--force"]) == 1
     assert f"error: {other}: expected a name that ends in ." in capsys.readouterr().err
     assert other.read_bytes() == b"a log"
 
@@ -72,10 +74,14 @@ def test_topics_of_other_names_fill_roles_in_a_recording_and_in_a_layout(tmp_pat
         *((["in.mcap", "--foxglove", f"--rate={rate}"], "--rate: ") for rate in ("0", "-1", "nan", "x")),
         (["in.mcap", "--foxglove", "--port=-1"], "--port: "),
         (["in.mcap", "--force"], "--force needs"),
-        (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic applies only"),
+        (["in.mcap", "--foxglove", "--topic", "image=/a"], "--topic ROLE=/NAME applies only"),
         (["--foxglove-layout", "a.json", "--topic", "image=/a"], "expected a log"),
         (["--foxglove-layout", "a.json", "--foxglove"], "expected a log"),
-        (["in.mcap", "--foxglove-layout", "a.json", "--video", "a.mp4"], "cannot be combined with --save or --video"),
+        (["in.mcap", "--foxglove-layout", "a.json", "--video", "a.mp4"], "cannot be combined with --save, --png or"),
+        (["in.mcap", "--png", "a.png"], "--png shows one frame; pass --frame N"),
+        (["in.mcap", "new.mcap", "--frame", "1", "--png", "a.png"], "--png shows one log"),
+        (["in.mcap", "--video", "a.mp4", "--topic", "image=/a"], "--topic ROLE=/NAME applies only"),
+        (["in.mcap", "--video", "a.mp4", "--topic", "/a", "--topic", "/b"], "expected the topic of one picture"),
     ],
 )
 def test_wrong_usage_has_exit_code_2(options, said, capsys):

@@ -10,6 +10,8 @@ from roadperc_stream.log import LogWriter, Message
 from roadperc_stream.output import encoding
 from roadperc_stream.output.results import encode_metrics, result_channel
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.view.frame_times import find_stop
+from roadperc_stream.view.pictures import picture_of
 from roadperc_stream.view.video import frame_rate_hz, pictures_shown, write_video
 from tests import logs
 from tests.replaying import replay
@@ -75,15 +77,16 @@ def test_video_time_follows_the_stamps(times, shown):
     assert pictures_shown(stamps(*times), 20.0) == shown
 
 
-def test_a_video_shows_overlays_and_repeats_the_last_one_in_gaps(tmp_path):
+@pytest.mark.parametrize("suffix", [".webm", ".mp4"])
+def test_a_video_shows_overlays_and_repeats_the_last_one_in_gaps(tmp_path, suffix):
     """The second frame has no overlay, which is also a gap."""
     times = stamps(0, 50, 100, 150, 350, 400)
     colours = [(220, 0, 0), None, (0, 0, 220), (0, 0, 220), (220, 0, 0), (220, 0, 0)]
     source, reported = overlays(tmp_path / "out.mcap", times, colours), []
-    done = write_video(source, tmp_path / "video.mp4", progress=lambda *counts: reported.append(counts))
+    done = write_video(source, tmp_path / f"video{suffix}", progress=lambda *counts: reported.append(counts))
     assert (done.pictures, done.frames) == (9, 6)
     assert reported == [(k, 6) for k in range(1, 7)]
-    pictures, rate_hz = read_video(tmp_path / "video.mp4")
+    pictures, rate_hz = read_video(tmp_path / f"video{suffix}")
     assert rate_hz == pytest.approx(20)
     assert [blue_red(p) for p in pictures] == ["blue"] * 2 + ["red"] * 5 + ["blue"] * 2
     assert pictures[0].shape == (90, 120, 3)
@@ -101,6 +104,35 @@ def test_a_log_without_overlays_gives_the_same_video(tmp_path):
     for a, b in zip(drawn, written, strict=True):
         assert np.abs(a.astype(int) - b).mean() < 4
         assert a[200, 160, 0] > a[200, 160, 2] + 20
+
+
+def test_only_the_pictures_that_the_encoder_made_alone_are_key_frames(tmp_path):
+    """Browsers refuse a video in which others are marked."""
+    source = overlays(tmp_path / "out.mcap", stamps(*range(0, 1000, 50)), [(220, 0, 0), (0, 0, 220)] * 10)
+    write_video(source, tmp_path / "video.webm")
+    capture = cv2.VideoCapture(str(tmp_path / "video.webm"), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+    marked, is_key = [], []
+    while capture.grab():
+        marked.append(bool(capture.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME)))
+        is_key.append(not capture.retrieve()[1].ravel()[0] & 1)  # the first bit of a frame of VP8
+    assert marked == is_key
+    assert 1 <= sum(marked) < len(marked) == 20
+
+
+def test_a_video_of_a_debug_picture(tmp_path):
+    source = logs.write(tmp_path / "in.mcap", logs.items(3))
+    bare, full = tmp_path / "bare.mcap", tmp_path / "full.mcap"
+    replay(source, bare, CFG)
+    replay(source, full, CFG, on_request=("debug",))
+    topic = "/perception/debug/lanes"
+    assert write_video(full, tmp_path / "lanes.webm", topic).pictures == 3
+    dimmed, plain = (read_video(tmp_path / "lanes.webm")[0][0], picture_of(full, find_stop(full, 0)))
+    assert dimmed[200:].mean() < 0.7 * plain[200:].mean()
+    with pytest.raises(LogError, match=rf"bare.mcap: no pictures on {topic}; replay the log with --debug$"):
+        write_video(bare, tmp_path / "none.webm", topic)
+    with pytest.raises(LogError, match="a video shows /perception/overlay, /perception/debug/"):
+        write_video(full, tmp_path / "none.webm", "/camera/front/image")
+    assert not list(tmp_path.glob("*none*"))
 
 
 def test_an_existing_video_is_replaced_only_with_force(tmp_path):

@@ -175,12 +175,17 @@ def disparity_picture(left: Camera, baseline_m: float, stereo: model.StereoDepth
     The depth is (H, W) in the camera ``left``; ``baseline_m`` is its distance to the right camera.
     """
     most_px = left.fx * baseline_m / _NEAREST_M
+    return depth_picture(stereo.depth_m, f"disparity 0 to {most_px:.0f} px")
+
+
+def depth_picture(depth_m: Float32, legend: str = f"depth, red at {_NEAREST_M:g} m or nearer") -> model.Image:
+    """(H, W) depth, linear in its inverse, in Turbo's colours, blue far and red near; black if unknown."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.float32(left.fx * baseline_m / most_px) / stereo.depth_m
+        share = np.float32(_NEAREST_M) / depth_m
     known = np.isfinite(share)
     canvas = Canvas(_turbo(np.where(known, share, np.float32(0))))
     canvas.pixels[~known] = 0
-    return _with_legend(canvas, [(f"disparity 0 to {most_px:.0f} px", _PEAK)])
+    return _with_legend(canvas, [(legend, _PEAK)])
 
 
 def _turbo(share: Float32) -> model.Image:

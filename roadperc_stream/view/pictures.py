@@ -1,0 +1,197 @@
+"""The pictures of a log's frames: overlays, debug pictures, and images of the input."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.message import DecodeError as ProtobufError
+
+from roadperc_stream import log
+from roadperc_stream.errors import ChannelError, DecodeError, LogError
+from roadperc_stream.formats import images
+from roadperc_stream.input.decoding import context_of_channel, decode, schemas_of_kind
+from roadperc_stream.input.earlier_replay import is_result, is_result_of
+from roadperc_stream.input.roles import assignment_of_log
+from roadperc_stream.input.stream import Problems
+from roadperc_stream.log import Channel, LogSummary, Message
+from roadperc_stream.model import CameraImage, DepthImage, Image
+from roadperc_stream.model.tag_tables import CARLA_BEFORE_0_9_14
+from roadperc_stream.output.drawing.on_request import depth_picture
+from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_frame
+from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.roles import Kind
+from roadperc_stream.schemas.topics import METRICS_TOPIC, ON_REQUEST, OVERLAY_TOPIC, STEREO_DEPTH_TOPIC
+from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.text import listed
+from roadperc_stream.system.time import ns_to_seconds
+from roadperc_stream.view.frame_times import Stop
+from roadperc_stream.view.result_frames import LATENESS_NS, content_of, read_frames, read_rows, row_of
+
+Shot = Callable[[], Image | None]
+"""Decodes or draws the (H, W, 3) picture of a frame; None if it cannot be read."""
+_KINDS: Final[tuple[Kind, ...]] = ("image", "depth")
+
+
+def write_picture(source: log.AnyLog, stop: Stop, topic: str, target: Path, *, force: bool = False) -> tuple[int, int]:
+    """Write the picture of a frame as a PNG; returns its columns and rows. Arguments and errors as ``picture_of``.
+
+    Raises:
+        TargetError: ``target`` exists and ``force`` is not set, or it cannot be written.
+    """
+    require_free(target, force=force, source=log.LogFile.of(source).name, suffix=".png")
+    picture = picture_of(source, stop, topic)
+    with completing(target, force=force) as temporary:
+        temporary.write_bytes(images.encode_png(picture))
+    return picture.shape[1], picture.shape[0]
+
+
+def picture_of(source: log.AnyLog, stop: Stop, topic: str = OVERLAY_TOPIC) -> Image:
+    """(H, W, 3) picture of a frame on a topic; the overlay is drawn if the log has none.
+
+    A topic of the input gives the picture whose stamp is nearest to the frame's. Depth is blue far and red near.
+
+    Raises:
+        LogError: the log has no such topic, or no picture of this frame.
+    """
+    summary, problems = log.summarise(source), Problems()
+    channel = channel_of_pictures(summary, topic)
+    if channel is not None:
+        picture = _nearest(summary, channel, stop, problems)
+    elif topic == OVERLAY_TOPIC:
+        picture = _drawn(summary, stop, problems)
+    else:
+        there = sorted(c.topic for c in summary.channels if _shows_pictures(c) and summary.counts.get(c.source_id))
+        raise LogError(f"{source}: no pictures on {topic}; expected {OVERLAY_TOPIC} or one of {listed(there)}")
+    if picture is None:
+        # the log may be a temporary replay, so the topic is named instead
+        why = "".join(f"; {text}" for text in problems.first.values())
+        where = "" if channel is None else _elsewhere(summary, channel, stop)
+        raise LogError(f"{topic}: no picture of frame {stop.frame}{where or '; it has no camera image'}{why}")
+    return picture
+
+
+def channel_of_pictures(summary: LogSummary, topic: str) -> Channel | None:
+    """The channel of a topic that has pictures; None without messages on it."""
+    there = (c for c in summary.channels if c.topic == topic and summary.counts.get(c.source_id))
+    return next((channel for channel in there if _shows_pictures(channel)), None)
+
+
+def _shows_pictures(channel: Channel) -> bool:
+    form = channel.schema_name, channel.message_encoding
+    return any(form in schemas_of_kind(kind) for kind in _KINDS)
+
+
+def _drawn(summary: LogSummary, stop: Stop, problems: Problems) -> Image | None:
+    first_ns = next(row.stamp_ns for _, row in read_rows(summary, problems))
+    for lateness_ns in LATENESS_NS:
+        span_ns = max(stop.log_time_ns - lateness_ns, 0), stop.log_time_ns + 1
+        for row, frame in read_frames(summary, problems, span_ns):
+            if row.stamp_ns == stop.stamp_ns and frame is not None:
+                return _overlay(replace(row, frame=stop.frame), frame, first_ns)
+    return None
+
+
+def _nearest(summary: LogSummary, channel: Channel, stop: Stop, problems: Problems) -> Image | None:
+    """The picture of the frame's own stamp, among those of its log time; of an input also the nearest stamp."""
+    for lateness_ns in LATENESS_NS:
+        span = {"start_ns": max(stop.log_time_ns - lateness_ns, 0), "end_ns": stop.log_time_ns + lateness_ns + 1}
+        read = [message for message in log.read(summary, topics=(channel.topic,), **span) if message.channel == channel]
+        found = [one for message in read if (one := _picture(summary, message, problems)) is not None]
+        exact = [picture for stamp_ns, picture in found if stamp_ns == stop.stamp_ns]
+        if exact:
+            return exact[0]()
+    nearest = min(found, key=lambda one: abs(one[0] - stop.stamp_ns), default=None)
+    return None if nearest is None or is_result(channel) else nearest[1]()
+
+
+def _picture(summary: LogSummary, message: Message, problems: Problems) -> tuple[int, Shot] | None:
+    """Stamp and picture of a message; None if it cannot be read."""
+    channel, time_ns = message.channel, message.log_time_ns
+    is_depth = channel.topic == STEREO_DEPTH_TOPIC or channel.topic in _depth_topics(summary)
+    context = replace(context_of_channel(channel, "auto"), tag_table=CARLA_BEFORE_0_9_14)
+    form = channel.schema_name, channel.message_encoding, message.data, time_ns, context
+    decoded = content_of(partial(decode, "depth" if is_depth else "image", *form), channel.topic, time_ns, problems)
+    if decoded is None:
+        return None
+    return decoded.stamp_ns, partial(content_of, partial(_pixels, decoded.payload), channel.topic, time_ns, problems)
+
+
+def _pixels(payload: object) -> Image:
+    if isinstance(payload, DepthImage):
+        return depth_picture(payload.depth_m)
+    assert isinstance(payload, CameraImage)
+    return payload.bgr
+
+
+def _depth_topics(summary: LogSummary) -> set[str]:
+    try:
+        roles = assignment_of_log(summary, {})
+    except ChannelError:  # the roles of the input are ambiguous
+        return set()
+    return {topic for topic in roles.topics.values() if any(role.kind == "depth" for role in roles.roles_of(topic))}
+
+
+def _elsewhere(summary: LogSummary, channel: Channel, stop: Stop) -> str:
+    """The nearest frame with a picture of a result."""
+    times_ns = [message.log_time_ns for message in log.read(summary, topics=(channel.topic,))]
+    rows = {log_time_ns: row.frame for log_time_ns, row in read_rows(summary, Problems())}
+    frames = [rows[time_ns] for time_ns in times_ns if time_ns in rows]
+    nearest = min(frames, key=lambda frame: abs(frame - stop.frame), default=None)
+    return "" if nearest is None else f"; the nearest frame with one is {nearest}"
+
+
+def shots(summary: LogSummary, topic: str, problems: Problems, width_px: int) -> Iterator[Shot]:
+    """The picture of every frame on a topic of ``ON_REQUEST``, in order; overlays are drawn if the log has none.
+
+    Drawn overlays have ``width_px`` columns at most.
+
+    Raises:
+        LogError: the log has no such pictures.
+    """
+    channel = channel_of_pictures(summary, topic)
+    if channel is not None and is_result_of(channel, topic):
+        yield from _written(summary, topic, problems)
+    elif topic == OVERLAY_TOPIC:
+        first_ns: int | None = None
+        for row, frame in read_frames(summary, problems):
+            first_ns = row.stamp_ns if first_ns is None else first_ns
+            yield _no_picture if frame is None else partial(_overlay, row, frame, first_ns, width_px)
+    else:
+        option = f"--{ON_REQUEST[topic]}" if topic in ON_REQUEST else ""
+        hint = f"replay the log with {option}" if option else f"a video shows {listed([*ON_REQUEST])}"
+        raise LogError(f"{summary.path}: no pictures on {topic}; {hint}")
+
+
+def _overlay(row: FrameMetrics, frame: PerceivedFrame, first_ns: int, width_px: int | None = None) -> Image:
+    columns = frame.image_bgr.shape[1]
+    return draw_frame(frame, row, ns_to_seconds(row.stamp_ns - first_ns), min(columns, width_px or columns))
+
+
+def _no_picture() -> None:
+    """A frame without a picture."""
+
+
+def _written(summary: LogSummary, topic: str, problems: Problems) -> Iterator[Shot]:
+    """The pictures of a topic in a log. Each follows the metrics of its frame."""
+    frames = 0
+    shot: Shot = _no_picture
+    for message in log.read(summary, topics=(topic, METRICS_TOPIC)):
+        if is_result_of(message.channel, topic):
+            pixels = partial(_decoded, message.data)
+            shot = partial(content_of, pixels, topic, message.log_time_ns, problems)
+        elif row_of(message, problems):
+            if frames:
+                yield shot
+            frames, shot = frames + 1, _no_picture
+    if frames:
+        yield shot
+
+
+def _decoded(data: bytes) -> Image:
+    try:
+        return images.decode_bgr(CompressedImage.FromString(data).data)
+    except ProtobufError as error:
+        raise DecodeError(f"{len(data)} bytes are not a foxglove.CompressedImage: {error}") from error
