@@ -213,15 +213,18 @@ def _detected(
     tracks: dict[int, ObjectTrack] = {}
     for k, (item, box, position) in enumerate(zip(kept.items, kept.boxes, kept.positions, strict=True)):
         if k in track_of:
-            # The object continues beyond one side of the image; the deviation of its edge hides that.
-            edge_px = _EDGE_SIGMAS * contact.edge_std_px(box.x_max - box.x_min)
-            cut = (box.x_min < edge_px) != (box.x_max > frame.camera.width - edge_px)
-            track = object_track.detected(cfg, known[track_of[k]], item, box, cut=cut)
+            track = object_track.detected(cfg, known[track_of[k]], item, box, cut=_is_cut(frame.camera, box))
         else:
             track = object_track.start(cfg, next_number, item, box, frame.stamp_ns)
             next_number += 1
         tracks[position] = track
     return tracks
+
+
+def _is_cut(camera: Camera, box: Box) -> bool:
+    """Whether an object continues beyond one side of the image; the deviation of its edge hides that."""
+    edge_px = _EDGE_SIGMAS * contact.edge_std_px(box.x_max - box.x_min)
+    return (box.x_min < edge_px) != (box.x_max > camera.width - edge_px)
 
 
 def _placed(
@@ -290,7 +293,8 @@ def _found(
     if item is None or not item.kept or not (by_template or object_track.agrees(cfg, track, item)):
         return lost
     item = replace(item, status="tracked")
-    after = object_track.observed(cfg, track, item, item.detection.box_px)
+    box = item.detection.box_px
+    after = object_track.observed(cfg, track, item, box, cut=_is_cut(frame.camera, box))
     if overlap_similarities(cfg, [after], kept.items, kept.boxes).any():
         return lost
     track = object_track.placed(after, extent(frame, path, item), after.template)

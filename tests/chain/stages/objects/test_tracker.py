@@ -251,6 +251,19 @@ def test_a_large_object_is_found_by_a_template_of_its_middle():
     np.testing.assert_allclose(astuple(follower.only.detection.box_px), (48, 20, 248, 200), atol=1)
 
 
+def test_an_object_cut_by_the_images_border_keeps_its_speed_while_its_template_is_found():
+    """Another point of it is the nearest one in each frame, so its distance stays although it passes at 5 m/s."""
+    follower, car = Follower(CFG.model_copy(update={"template_min_score": 0.5})), box("Car", 8, 90, 68, 150)
+    image = texture(1, (60, 80)).repeat(4, axis=0).repeat(4, axis=1)
+    for k in range(9):
+        follower.frame(shifted(car, -k), grey=moved(image, -k, 0), depth_m=10.0 - 0.25 * k)
+    for _ in range(4):
+        follower.frame(grey=moved(image, -8, 0), depth_m=8.0)
+        assert follower.only.status == "tracked"
+        assert follower.only.detection.box_px.x_min < 1
+        assert follower.only.closing_speed_mps == pytest.approx(5.0, abs=0.5)
+
+
 def test_an_object_that_grows_is_found_at_its_size():
     """From 20 m to 16 m everything is a quarter larger."""
     scene = texture(1, (60, 80)).repeat(4, axis=0).repeat(4, axis=1)
