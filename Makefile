@@ -8,6 +8,7 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 PARALLEL := -n $(shell expr $$(nproc) + 1) --maxprocesses 4 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 DEMO := logs/runs/demo
 PICTURES := logs/runs/pictures
+COURSE := $(PICTURES)/course
 EVENTS := change brake worn
 EVENT_OPTIONS := --size 640x480 --seconds 5 --tag-noise 0.02 --depth-noise 0.01 --force
 SAMPLE_DUMP := logs/runs/sample-dump
@@ -133,6 +134,14 @@ pictures: $(VENV)/.installed $(EVENT_LOGS)  # all pictures of docs/ except foxgl
 	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/brake.mcap docs/braking.jpg 63 78
 	$(BIN)/python docs/make_pictures.py frames $(PICTURES)/worn.mcap docs/worn.jpg 38 54
 	$(BIN)/python -m tests.degrade_pictures logs/sample.mcap $(PICTURES)
+	$(BIN)/roadperc-render $(COURSE)-drive --scene town --size 640x480 --seconds 0.5 --tag-noise 0.02 --depth-noise 0.01 --force
+	$(BIN)/roadperc-convert $(COURSE)-drive $(COURSE)-input.mcap --force --quiet
+	$(BIN)/roadperc-replay $(COURSE)-input.mcap $(COURSE).mcap --overlay --debug --template 0:380,234,482,292 --force
+	$(BIN)/python docs/make_pictures.py frames $(COURSE).mcap docs/course_surface.jpg debug/surface:7
+	$(BIN)/python docs/make_pictures.py frames $(COURSE).mcap docs/course_lanes.jpg debug/lanes:7
+	$(BIN)/python docs/make_pictures.py frames $(COURSE).mcap docs/course_objects.jpg 0
+	$(BIN)/python docs/make_pictures.py frames $(COURSE).mcap docs/course_stereo.jpg debug/disparity:1 debug/template:1
+	$(BIN)/python docs/make_pictures.py frames $(COURSE).mcap docs/course_matches.jpg debug/matches:7
 
 $(PICTURES)/change.mcap: EVENT := --scene town --change-lane left --seed 113
 $(PICTURES)/brake.mcap: EVENT := --scene town --lead-brakes --seed 101

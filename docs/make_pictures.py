@@ -3,6 +3,7 @@
 Usage:
     python docs/make_pictures.py report LOG.mcap REPORT.html          overlay.jpg and report.png
     python docs/make_pictures.py frames LOG.mcap PICTURE.jpg 12 30    overlays of some frames side by side
+    python docs/make_pictures.py frames LOG.mcap PICTURE.jpg debug/lanes:12    another picture of a frame
 """
 
 import shutil
@@ -31,16 +32,16 @@ _JPEG_QUALITY: Final = 80
 _QUIET: Final = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=8000")
 
 
-def overlay_jpegs(path: Path) -> list[bytes]:
-    """The overlays of a log, as they are in it."""
+def jpegs(path: Path, topic: str = "overlay") -> dict[int, bytes]:
+    """The pictures of a log below ``/perception``, as they are in it, by their frame."""
     with path.open("rb") as file:
-        messages = make_reader(file).iter_messages(topics=["/perception/overlay"])
-        return [CompressedImage.FromString(message.data).data for _, _, message in messages]
+        messages = make_reader(file).iter_messages(topics=[f"/perception/{topic}"])
+        return {message.sequence: CompressedImage.FromString(message.data).data for _, _, message in messages}
 
 
-def side_by_side(jpegs: list[bytes]) -> NDArray[np.uint8]:
+def side_by_side(pictures: list[bytes]) -> NDArray[np.uint8]:
     """(H, sum of W, 3) pictures of one height beside each other."""
-    return np.asarray(np.hstack([cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1) for jpeg in jpegs]), np.uint8)
+    return np.asarray(np.hstack([cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1) for jpeg in pictures]), np.uint8)
 
 
 def page_picture(page: Path, chromium: str) -> NDArray[np.uint8]:
@@ -66,7 +67,7 @@ def _panel(html: str, part: str, chromium: str, folder: Path) -> NDArray[np.uint
 
 def write_report(log_path: Path, page: Path) -> int:
     """Write overlay.jpg and report.png; without chromium the overlay alone."""
-    (_DOCS / "overlay.jpg").write_bytes(overlay_jpegs(log_path)[_SHOWN_FRAME])
+    (_DOCS / "overlay.jpg").write_bytes(jpegs(log_path)[_SHOWN_FRAME])
     chromium = shutil.which("chromium")
     if chromium is None:
         print("no chromium on this machine: docs/report.png stays as it is", file=sys.stderr)
@@ -76,10 +77,11 @@ def write_report(log_path: Path, page: Path) -> int:
     return 0
 
 
-def write_frames(log_path: Path, target: Path, frames: list[int]) -> int:
-    """Write the overlays of some frames as one picture."""
-    jpegs = overlay_jpegs(log_path)
-    picture = PillowImage.fromarray(side_by_side([jpegs[frame] for frame in frames])[..., ::-1])
+def write_frames(log_path: Path, target: Path, shown: list[str]) -> int:
+    """Write pictures as one: the overlay of a frame, or ``TOPIC:FRAME``."""
+    places = [place.rpartition(":") for place in shown]
+    pictures = [jpegs(log_path, topic or "overlay")[int(frame)] for topic, _, frame in places]
+    picture = PillowImage.fromarray(side_by_side(pictures)[..., ::-1])
     picture.save(target, quality=_JPEG_QUALITY, optimize=True)
     return 0
 
@@ -89,7 +91,7 @@ def main(arguments: list[str]) -> int:
     what, log_path, path, *frames = arguments
     if what == "report":
         return write_report(Path(log_path), Path(path))
-    return write_frames(Path(log_path), Path(path), [int(frame) for frame in frames])
+    return write_frames(Path(log_path), Path(path), frames)
 
 
 if __name__ == "__main__":

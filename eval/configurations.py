@@ -1,5 +1,6 @@
 """The configurations of runs: groups of equal configuration, and the settings that differ."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ NO_SUCH_SETTING: Final = "-"
 _TITLE: Final = "Settings that differ"
 _DIGITS: Final = 8
 """Digits shown of a configuration's digest."""
+_MOST_CHARACTERS: Final = 100
+"""Longer values are not shown."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +83,18 @@ def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
 
     def value(settings: Settings, key: str) -> str:
         unset = NOT_SET if is_about_log(key) else NO_SUCH_SETTING
-        return as_typed(settings[key]) if key in settings else unset
+        return _in_short(as_typed(settings[key])) if key in settings else unset
 
     keys = dict.fromkeys(chain.from_iterable(configurations))
     rows = {key: tuple(value(settings, key) for settings in configurations) for key in keys}
     return {key: values for key, values in rows.items() if len(set(values)) > 1}
+
+
+def _in_short(value: str) -> str:
+    """The value; of a long one, such as the picture of a template, its length and digest."""
+    if len(value) <= _MOST_CHARACTERS:
+        return value
+    return f"{len(value)} characters with sha256 {hashlib.sha256(value.encode()).hexdigest()[:_DIGITS]}"
 
 
 def change(base: Run, new: Run) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from docs.make_pictures import _SHOWN_FRAME, overlay_jpegs
+from docs.make_pictures import _SHOWN_FRAME, jpegs
 from tests.commands import run_forked
 
 ROOT = Path(__file__).parents[1]
@@ -24,7 +24,7 @@ def test_the_overlay_is_redrawn_as_in_the_picture(tmp_path):
     ):
         ended = run_forked(command, *arguments)
         assert ended.returncode == 0, ended.stderr
-    drawn = cv2.imdecode(np.frombuffer(overlay_jpegs(tmp_path / "result.mcap")[_SHOWN_FRAME], np.uint8), 1)
+    drawn = cv2.imdecode(np.frombuffer(jpegs(tmp_path / "result.mcap")[_SHOWN_FRAME], np.uint8), 1)
     apart = np.abs(drawn.astype(int) - cv2.imread(str(ROOT / "docs" / "overlay.jpg")))
     assert apart.mean() < 0.5
     assert (apart > 40).mean() < 0.001

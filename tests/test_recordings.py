@@ -12,9 +12,6 @@ from roadperc_stream import log
 from roadperc_stream.cli import convert, report
 from roadperc_stream.cli.replay import main as replay_main
 from roadperc_stream.output.tables import sidecar_path
-from tests import course
-
-PUBLIC_HOUGH = ("median_px=0", "hough_rho_px=10", "hough_threshold=200", "hough_min_length_px=150")
 
 
 @pytest.fixture(scope="module")
@@ -53,23 +50,6 @@ def test_course_frames_keep_the_known_detections(replayed, data_dir):
         assert [k for k, kept in enumerate(rows["kept"]) if kept] == expected[str(frame)]["kept"]
     assert set(metrics["surface_source"]) == {"assumed"}
     assert set(objects["distance_source"].drop_nulls()) == {"ground"}
-
-
-def test_course_frame_0_has_the_public_number_of_lines(replayed):
-    settings = [part for setting in PUBLIC_HOUGH for part in ("--set", f"lanes.{setting}")]
-    metrics, _ = replayed("course_frames", *settings)
-    assert (metrics["lane_proposals"][0], metrics["lane_merged"][0]) == (9, 5)
-
-
-def test_the_obstacle_of_the_course_with_its_public_settings(replayed, data_dir, tmp_path):
-    course.write_dump(data_dir / "course_stereo", tmp_path / "swapped")
-    settings = [part for setting in course.SETTINGS for part in ("--set", setting)]
-    _, objects = replayed(tmp_path / "swapped", "--template", course.TEMPLATE, *settings)
-    expected = json.loads((data_dir / "course_stereo" / "expected.json").read_text())
-    found = objects.row(0, named=True)
-    assert (objects.height, found["label"]) == (1, "template")
-    assert [found["x_min_px"], found["y_min_px"]] == expected["template_top_left_px"] == [547, 479]
-    assert found["distance_m"] == pytest.approx(expected["nearest_depth_m"], abs=1e-4)
 
 
 def test_carla_frame_height_and_kept_boxes(replayed, data_dir):

@@ -73,3 +73,11 @@ UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its tabl
 )
 def test_changed_settings_of_two_runs(candidate, expected):
     assert change(run("a", "seed = 1"), candidate) == expected
+
+
+def test_a_long_value_is_shown_by_its_length_and_digest():
+    """Two pictures with the same first and last characters still differ."""
+    one, other = (f"iVBOR{middle * 200}ggg==" for middle in "ab")
+    (values,) = differing([{"objects.template_png": picture} for picture in (one, other)]).values()
+    assert [value.partition(" with sha256 ")[0] for value in values] == ["210 characters"] * 2
+    assert values[0] != values[1]
