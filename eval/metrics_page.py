@@ -8,13 +8,17 @@ from typing import Final
 from roadperc_stream.schemas.columns import FrameMetrics, ObjectMetrics, columns_of
 from roadperc_stream.schemas.columns.column import Column
 from roadperc_stream.schemas.columns.hindsight import FrameHindsight, TrackHindsightColumns
+from roadperc_stream.schemas.columns.places import ObjectPlaceColumns, TrueObjectListColumns
 from roadperc_stream.schemas.columns.runs import RunRow
 
 _BLOCK: Final = re.compile(r"(<!-- columns: (?P<groups>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """A table in the page, below the names of the groups of columns it defines."""
 _HEADER: Final = ("column", "meaning", "unit, better", "null where", "relevant", "limit")
 """Only tables of errors have the last two."""
-_ROWS: Final = (*FrameMetrics.__bases__, *FrameHindsight.__bases__, ObjectMetrics, TrackHindsightColumns, RunRow)
+_ROWS: Final = (
+    *(*FrameMetrics.__bases__, *FrameHindsight.__bases__, TrueObjectListColumns),
+    *(ObjectMetrics, TrackHindsightColumns, ObjectPlaceColumns, RunRow),
+)
 _GROUPS: Final = {group.__name__: group for group in _ROWS}
 
 

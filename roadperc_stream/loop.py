@@ -136,8 +136,8 @@ class _Frames:
             self._input.require_usable(result)
             with timer("metrics"):
                 row = frame_metrics(self._cfg, self._input.log_id, sample, result, self._earlier)
-                objects = tuple(object_metrics(self._input.log_id, sample, result))
-                output = FrameOutput(row, objects, evidence_of(self._cfg, sample.frame, result), claims_of(result))
+                found = object_metrics(self._input.log_id, sample, result)
+                output = FrameOutput(row, *found, evidence_of(self._cfg, sample.frame, result), claims_of(result))
             self._checkpoints.keep(self._outputs.write(sample, result, output, timer))
         self._earlier = sample.as_earlier
         self._done(sample, ReplayState(chain, self._earlier, self._outputs.shown))

@@ -10,6 +10,7 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import TIME_COLUMNS
+from roadperc_stream.schemas.columns.places import TRUE_OBJECTS
 
 from ..options import Rules
 from ..runs import Run, collect, written_columns
@@ -20,8 +21,8 @@ Value = float | int | str | bool | None
 State = Literal["identical", "within tolerance", "differs"]
 INCOMPARABLE: Final = math.inf
 """Distance between a value and None, two different texts, or values of two kinds."""
-NOT_COMPARED = (STAMP, "config", *TIME_COLUMNS)
-"""Columns that pair the frames, name the configuration, or differ in every replay."""
+NOT_COMPARED = (STAMP, "config", *TIME_COLUMNS, TRUE_OBJECTS)
+"""Columns that pair the frames, name the configuration, differ in every replay, or hold lists of truth."""
 _REASON: Final = pl.concat_str(
     pl.element().struct.field("source", "code"),
     pl.element().struct.field("values").list.join(" "),

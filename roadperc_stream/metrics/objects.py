@@ -1,16 +1,18 @@
 """Metrics of detections against the true objects: one row per detection, and the sums of a frame."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from functools import lru_cache
+from math import hypot
 from typing import Final
 
 import numpy as np
 
-from roadperc_stream.model import Absent, FrameResult, Object, Objects, Sample
+from roadperc_stream.model import Absent, Frame, FrameResult, Object, Objects, Sample
 from roadperc_stream.model.tag_tables import classes_of_label
 from roadperc_stream.schemas.columns import FrameKey, ObjectMetrics
 from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns, TrueObjectColumns
 from roadperc_stream.schemas.columns.estimates import ObjectColumns
+from roadperc_stream.schemas.columns.places import FramePlaces, ObjectPlaceColumns, TrueObject, TrueObjectListColumns
 
 _COLUMNS: Final = frozenset(ObjectMetrics.__dataclass_fields__)
 _TRUE: Final = ("distance_m", "closing_speed_mps", "lateral_m", "in_path")
@@ -19,16 +21,19 @@ MATCH_OVERLAP = 0.5
 """Intersection over union from which a detection matches a true object of its kind."""
 
 
-def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> list[ObjectMetrics]:
-    """The rows of all detections of a frame."""
-    if isinstance(result.objects, Absent):
-        return []
-    objects, truth = result.objects.objects, sample.truth.objects
+def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> tuple[tuple[ObjectMetrics, ...], FramePlaces]:
+    """The rows of all detections of a frame, and the places of the detections and of the true objects."""
+    objects = () if isinstance(result.objects, Absent) else result.objects.objects
+    truth = sample.truth.objects
     partners = true_partners(objects, truth)
-    return [
+    pairs = list(zip(objects, partners, strict=True))
+    rows = tuple(
         _object_row(log_id, sample, item, partner, None if truth is None else partner is not None)
-        for item, partner in zip(objects, partners, strict=True)
-    ]
+        for item, partner in pairs
+    )
+    detected = {id(partner) for item, partner in pairs if item.kept and item.status == "measured"}
+    true = None if truth is None else _true_objects(sample.frame, truth.objects, detected)
+    return rows, FramePlaces(_places(sample.frame, objects), TrueObjectListColumns(true))
 
 
 def _object_row(
@@ -128,6 +133,41 @@ def true_objects(truth: Objects | None) -> TrueObjectColumns:
         tuple(item.detection.label for item in placed),
         tuple(item.distance_m for item in placed if item.distance_m is not None),
         tuple(laterals) if len(laterals) == len(placed) else (),
+    )
+
+
+def _places(frame: Frame, objects: Sequence[Object]) -> tuple[ObjectPlaceColumns, ...]:
+    """The place on the ground of each object with a distance, in the direction of its box's middle."""
+    camera = frame.camera
+    (xx, xy, xz, x), (yx, yy, yz, y) = frame.ego_T_camera[:2].tolist()
+    places = []
+    for item in objects:
+        if item.distance_m is None:
+            places.append(ObjectPlaceColumns())
+            continue
+        box_px = item.detection.box_px
+        right = ((box_px.x_min + box_px.x_max - 1) / 2 - camera.cx) / camera.fx
+        down = ((box_px.y_min + box_px.y_max - 1) / 2 - camera.cy) / camera.fy
+        ahead_m = item.distance_m / hypot(right, down, 1.0)
+        x_m = (xx * right + xy * down + xz) * ahead_m + x
+        places.append(ObjectPlaceColumns(x_m, (yx * right + yy * down + yz) * ahead_m + y))
+    return tuple(places)
+
+
+def _true_objects(frame: Frame, objects: Sequence[Object], detected: Container[int]) -> tuple[TrueObject, ...]:
+    """All true objects of a frame with their places; ``detected`` are the ``id`` of those with a detection."""
+    return tuple(
+        TrueObject(
+            item.track_id or item.detection.id,
+            item.detection.label,
+            place.x_m,
+            place.y_m,
+            item.closing_speed_mps,
+            true_time_to_impact_s(item),
+            item.in_path,
+            id(item) in detected,
+        )
+        for item, place in zip(objects, _places(frame, objects), strict=True)
     )
 
 

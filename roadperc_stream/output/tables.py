@@ -21,6 +21,7 @@ from roadperc_stream.errors import TableError
 from roadperc_stream.geometry import Float
 from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import cells
+from roadperc_stream.schemas.columns.places import TrueObject, TrueObjectListColumns
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors
 
@@ -39,7 +40,18 @@ _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
             [("source", pa.string()), ("code", pa.string()), ("values", pa.list_(pa.string())), ("cause", pa.string())]
         )
     ),
+    tuple[TrueObject, ...]: pa.list_(
+        pa.struct(
+            [
+                *((name, pa.string()) for name in ("id", "label")),
+                *((name, pa.float64()) for name in ("x_m", "y_m", "closing_speed_mps", "time_to_impact_s")),
+                *((name, pa.bool_()) for name in ("in_path", "detected")),
+            ]
+        )
+    ),
 }
+_LISTED: Final = typing.get_type_hints(TrueObjectListColumns)
+"""The types of the extra columns that are no floats."""
 Scalar = bool | int | float | str
 
 
@@ -103,10 +115,10 @@ def arrow_schema(
     metadata: Mapping[str, str] | None = None,
     constant: Mapping[str, Scalar] | None = None,
 ) -> pa.Schema:
-    """Arrow schema of a dataclass, ``X | None`` nullable, then ``extra`` float columns and constant columns."""
+    """Arrow schema of a dataclass, ``X | None`` nullable, then ``extra`` and constant columns."""
     hints = typing.get_type_hints(row_type)
     columns = [_field(f.name, hints[f.name]) for f in fields(row_type)]
-    columns += [pa.field(name, pa.float64()) for name in extra]
+    columns += [_field(name, _LISTED.get(name, float | None)) for name in extra]
     columns += [_field(name, type(value)) for name, value in (constant or {}).items()]
     return pa.schema(columns, metadata=_encoded(metadata or {}))
 
@@ -239,7 +251,7 @@ def _numpy(column: pa.ChunkedArray) -> NDArray[Any]:
 class TableWriter:
     """Writes rows to a Parquet file, which gets its name only when complete. Use it as a context manager.
 
-    ``extra`` are names of float columns that each row brings, ``constant`` columns with one value in all rows.
+    ``extra`` are names of columns that each row brings, ``constant`` columns with one value in all rows.
     """
 
     def __init__(
@@ -263,7 +275,7 @@ class TableWriter:
             self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
         return self
 
-    def append(self, row: Any, **extra: float) -> None:
+    def append(self, row: Any, **extra: Any) -> None:
         """Add a row: a dataclass, and values of the extra columns.
 
         Raises:

@@ -18,8 +18,9 @@ from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics, ObjectMetrics
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics, ObjectMetrics, cells
 from roadperc_stream.schemas.columns.hindsight import TRACK_HINDSIGHT
+from roadperc_stream.schemas.columns.places import OBJECT_PLACE, TRUE_OBJECTS, FramePlaces
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS
 from roadperc_stream.schemas.topics import result_schemas
 from roadperc_stream.system.progress import Progress, StageTimer, no_progress
@@ -79,11 +80,13 @@ class Shown:
 class FrameOutput:
     """The output of one frame: topic and bytes of its messages, its row with time columns, rows of its objects.
 
-    ``evidence`` is for the findings of the whole replay, ``claims`` for its errors by hindsight.
+    ``places`` are more columns of these rows. ``evidence`` is for the findings of the whole replay, ``claims`` for its
+    errors by hindsight.
     """
 
     row: FrameMetrics
-    objects: tuple[ObjectMetrics, ...] = ()
+    objects: tuple[ObjectMetrics, ...]
+    places: FramePlaces
     evidence: Evidence = field(default_factory=Evidence)
     claims: tuple[float, ...] = ()
     messages: tuple[tuple[str, bytes], ...] = ()
@@ -155,8 +158,8 @@ class Outputs:
         """Name the files; ``earlier`` are the last rows of the replay that this one continues."""
         self._target, self._cfg, self._input = target, log_in.cfg, log_in
         facts = table_facts(log_in.summary.path, target.path, log_in.cfg, facts, log_in.networks)
-        self._frames = TableWriter(target.metrics, FrameMetrics, facts, EXTRA_COLUMNS)
-        self._objects = TableWriter(target.objects, ObjectMetrics, facts, TRACK_HINDSIGHT)
+        self._frames = TableWriter(target.metrics, FrameMetrics, facts, (*EXTRA_COLUMNS, TRUE_OBJECTS))
+        self._objects = TableWriter(target.objects, ObjectMetrics, facts, (*TRACK_HINDSIGHT, *OBJECT_PLACE))
         self._log = LogWriter(target.path, log_in.summary.profile)
         self.files = (self._log, self._objects, self._frames)
         """Renamed in reverse order: when the log has its name, the tables have theirs."""
@@ -221,9 +224,9 @@ class Outputs:
         self._contradictions.add(output.row, output.evidence)
         self._hindsight.add(output.claims)
         self._reasons = merged((self._reasons, of_frame(output.row.reasons)))
-        self._frames.append(output.row, **output.times_ms)
-        for item in output.objects:
-            self._objects.append(item)
+        self._frames.append(output.row, **output.times_ms, **cells(output.places.truth))
+        for item, place in zip(output.objects, output.places.objects, strict=True):
+            self._objects.append(item, **cells(place))
 
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
         """Copy the rest of the input, and record how the output was made.

@@ -17,7 +17,7 @@ def test_objects_are_matched_best_first_and_once():
     truth = Objects((Object(near, True, distance_m=3.0),))
     sample, result = sample_and_result(objects=truth)
     result = replace(result, objects=objects)
-    rows = m.object_metrics("id", sample, result)
+    rows, _ = m.object_metrics("id", sample, result)
     assert [row.true_distance_m for row in rows] == [None, 3.0]
     assert m.frame_metrics(CFG, "id", sample, result).object_distance_error_m == pytest.approx(0.5)
 
@@ -34,7 +34,7 @@ def test_dropped_objects_do_not_count():
 def judged(*objects, truth):
     sample, result = sample_and_result(objects=truth)
     result = replace(result, objects=Objects(objects))
-    return m.frame_metrics(CFG, "id", sample, result), m.object_metrics("id", sample, result)
+    return m.frame_metrics(CFG, "id", sample, result), m.object_metrics("id", sample, result)[0]
 
 
 def test_the_filter_is_counted_over_the_detections():
@@ -115,3 +115,31 @@ def test_a_true_time_to_impact_is_the_distance_over_the_closing_speed(closing_mp
     assert true_time_to_impact_s(true) == impact_s
     _, (row,) = judged(Object(detection, True), truth=Objects((true,)))
     assert (row.true_closing_speed_mps, row.true_time_to_impact_s) == (closing_mps, impact_s)
+
+
+def test_a_place_is_at_the_distance_in_the_direction_of_the_box():
+    """A box in the middle of the image is straight ahead of the camera, and one on the left is to the left."""
+    sample, result = sample_and_result()
+    camera, mount = sample.frame.camera, sample.frame.ego_T_camera[:3, 3]
+    centre = box("Car", camera.cx - 4.5, camera.cy - 4.5, camera.cx + 5.5, camera.cy + 5.5)
+    left = replace(
+        centre, box_px=replace(centre.box_px, x_min=centre.box_px.x_min - 100, x_max=centre.box_px.x_max - 100)
+    )
+    objects = Objects((Object(centre, True, distance_m=7.0), Object(left, True, distance_m=7.0), Object(left, True)))
+    ahead, aside, unknown = m.object_metrics("id", sample, replace(result, objects=objects))[1].objects
+    assert ahead.x_m - mount[0] == pytest.approx(7.0, abs=0.1)
+    assert ahead.y_m == pytest.approx(mount[1], abs=0.01)
+    assert aside.y_m - mount[1] == pytest.approx(100 / camera.fx * (aside.x_m - mount[0]), rel=0.05)
+    assert (unknown.x_m, unknown.y_m) == (None, None)
+
+
+def test_a_true_object_knows_whether_a_kept_detection_of_the_frame_matches_it():
+    cars = [Object(box("Car", x, 0, x + 10, 10), True, distance_m=5.0, track_id=f"car {x}") for x in (0, 20, 40, 60)]
+    seen, dropped, carried, _ = cars
+    sample, result = sample_and_result(objects=Objects(tuple(cars)))
+    found = Objects((seen, replace(dropped, kept=False), replace(carried, status="tracked")))
+    places = m.object_metrics("id", sample, replace(result, objects=found))[1]
+    assert [item.detected for item in places.truth.true_objects] == [True, False, False, False]
+    assert [item.id for item in places.truth.true_objects] == ["car 0", "car 20", "car 40", "car 60"]
+    without, result = sample_and_result()
+    assert m.object_metrics("id", without, result)[1].truth.true_objects is None

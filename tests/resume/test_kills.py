@@ -16,6 +16,7 @@ from roadperc_stream.output.writing import FrameOutput
 from roadperc_stream.resume.checkpoint import Checkpoint, CheckpointFolder, checkpoint_folder
 from roadperc_stream.resume.state import ReplayState
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.schemas.columns.places import FramePlaces
 from tests import logs
 from tests.commands import run_forked
 from tests.replaying import replay
@@ -61,7 +62,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-LITTLE = FrameOutput(FrameMetrics("log", 0, 0))
+LITTLE = FrameOutput(FrameMetrics("log", 0, 0), (), FramePlaces())
 OUTPUTS = ["out.mcap", "out.metrics.parquet", "out.objects.parquet"]
 
 

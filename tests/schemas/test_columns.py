@@ -13,6 +13,7 @@ from roadperc_stream.eval.report_columns import DERIVED, NUMBERS
 from roadperc_stream.output.tables import arrow_schema
 from roadperc_stream.schemas.columns import EXTRA_COLUMNS, TIME_COLUMNS, FrameMetrics, ObjectMetrics, columns_of
 from roadperc_stream.schemas.columns.hindsight import FRAME_HINDSIGHT, TRACK_HINDSIGHT, FrameHindsight
+from roadperc_stream.schemas.columns.places import OBJECT_PLACE, TRUE_OBJECTS
 from roadperc_stream.schemas.row_messages import FrameMetrics as FrameMetricsProto
 
 PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
@@ -67,5 +68,6 @@ def test_labels_of_reports_are_unique():
 def test_the_page_defines_every_column():
     page = PAGE.read_text(encoding="utf-8")
     assert page == with_tables(page), "run `make pages`"
-    for name in (*columns_of(FrameMetrics), *columns_of(ObjectMetrics), *FRAME_HINDSIGHT, *TRACK_HINDSIGHT):
+    extra = (*FRAME_HINDSIGHT, *TRACK_HINDSIGHT, TRUE_OBJECTS, *OBJECT_PLACE)
+    for name in (*columns_of(FrameMetrics), *columns_of(ObjectMetrics), *extra):
         assert re.search(rf"^\| (`\w+`, )*`{name}`[, |]", page, re.MULTILINE), name
