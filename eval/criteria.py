@@ -77,6 +77,8 @@ class Criterion(_Table):
             raise ValueError("filter does not belong to the statistic findings")
         if self.metric is not None and self.metric not in BY_NAME:
             raise ValueError(f"no metric {self.metric}; {hint(self.metric, BY_NAME)}")
+        if self.metric is not None and BY_NAME[self.metric].whole and self.statistic != "mean":
+            raise ValueError(f"{self.metric} is one figure of all frames: expected the statistic mean")
         if not re.fullmatch(_NAME, self.title):
             raise ValueError("expected a name of letters, digits, spaces and _-./")
         return self

@@ -9,6 +9,7 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.errors import ConfigError
+from roadperc_stream.geometry import Float
 from roadperc_stream.schemas.columns import TIME_COLUMNS, UNITLESS, FrameMetrics, columns_of, errors
 from roadperc_stream.schemas.columns.hindsight import FrameHindsight
 from roadperc_stream.system.text import number as number_of
@@ -18,6 +19,7 @@ from ..criteria import BY_NAME, Criterion
 from ..expressions import on_empty_rows, parsed, similar
 from ..findings import finding_lines, findings_of
 from ..frame_commands import view_command
+from ..objects.figures import frame_values, parts_of
 from ..report_columns import TRUTH_OF, percent
 from ..results import Outcome
 from ..runs import Run, reading, written_columns
@@ -101,11 +103,12 @@ def judge(criteria: Sequence[Criterion], runs: Sequence[Run], source: Path) -> l
     )
     for criterion in criteria:
         _require_fit(criterion, schema, f"{source}: criterion {criterion.title!r}")
-    by_run = [_measured([c for c in criteria if c.statistic != "findings"], run, schema) for run in runs]
-    of_frames = zip(*by_run, strict=True)
+    of_frames = [criterion for criterion in criteria if criterion.statistic != "findings"]
+    by_run = [_measured(of_frames, run, schema, len(runs)) for run in runs]
+    parts_by_criterion = zip(*by_run, strict=True)
     results: list[Result] = []
     for criterion in criteria:
-        parts = [None] * len(runs) if criterion.statistic == "findings" else next(of_frames)
+        parts = [None] * len(runs) if criterion.statistic == "findings" else next(parts_by_criterion)
         pairs = list(zip(runs, parts, strict=True))
         for group in [[pair] for pair in pairs] if criterion.per_log else [pairs]:
             log, of_group = group[0][0].name if len(group) == 1 else ALL, [part for _, part in group if part]
@@ -175,13 +178,14 @@ def _value(criterion: Criterion) -> pl.Expr:
     return pl.when(judged.is_finite()).then(judged)
 
 
-def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> list[_Part]:
-    """The part of one run in each criterion."""
+def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema, logs: int) -> list[_Part]:
+    """The part of one run, of ``logs`` in all, in each criterion."""
+    whole: dict[str | None, dict[str, Float]] = {}
     frames = _frames_of(run)
     present = {*frames.collect_schema().names()}
     lacking = [pl.lit(None, kind).alias(name) for name, kind in schema.items() if name not in present]
     needed = {"frame", "stamp_ns", SEGMENT, *chain(*_OF_TRUTH), *chain(*map(_columns_of, criteria))}
-    parts = []
+    found = []
     with reading(f"{run.source_name}, with the filters and events of the criteria"):
         table = frames.with_columns(lacking).select(sorted(needed)).collect(engine="in-memory")
         lasts = before(pl.col("stamp_ns"), -1) - pl.col("stamp_ns")
@@ -190,6 +194,11 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
         for criterion in criteria:
             # one by one: polars takes quadratic time for many expressions in one query
             kept = table.select("frame", "lasts", keep=_sql(criterion.filter), value=_value(criterion)).filter("keep")
+            if _is_whole(criterion):  # computed from the frames that fulfil the filter
+                if criterion.filter not in whole:
+                    whole[criterion.filter] = frame_values(run, kept["frame"].to_numpy(), parts_of(logs))
+                values = whole[criterion.filter].get(str(criterion.metric))
+                kept = kept if values is None else kept.with_columns(value=pl.Series(values))
             columns = _columns_of(criterion)
             of_truth = {names[0] for names in _OF_TRUTH if not set(columns[:1]).isdisjoint(names)}
             truth = TRUTH_OF.get(criterion.metric or "")
@@ -197,8 +206,13 @@ def _measured(criteria: Sequence[Criterion], run: Run, schema: pl.Schema) -> lis
             if truth is not None and table[truth].null_count() < table.height:
                 skipped = "truth decides"
             minutes = float(kept["lasts"].sum()) / _S_PER_MINUTE
-            parts.append(_Part(run, kept.select("frame", "value"), minutes, skipped))
-    return parts
+            found.append(_Part(run, kept.select("frame", "value"), minutes, skipped))
+    return found
+
+
+def _is_whole(criterion: Criterion) -> bool:
+    """Whether the metric is one figure of all frames."""
+    return criterion.metric is not None and BY_NAME[criterion.metric].whole
 
 
 def _columns_of(criterion: Criterion) -> list[str]:

@@ -72,7 +72,7 @@ def _lines(runs: Sequence[Run], path: Path) -> Iterator[str]:
 
 
 def _statistics(metric: Metric) -> tuple[str, ...]:
-    if metric.share:
+    if metric.share or metric.whole:
         return ("mean",)
     return ("mean", "p5", "min") if metric.higher_is_better else ("mean", "p95", "max")
 

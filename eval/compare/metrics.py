@@ -10,9 +10,11 @@ import polars as pl
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
+from roadperc_stream.model.tag_tables import LABEL_CLASSES
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 from roadperc_stream.schemas.columns.hindsight import FrameHindsight
 
+from ..objects.figures import BANDS_S, RINGS_M, band_name, frame_values, parts_of, ring_name
 from ..report_columns import ERRORS, JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH_OF, Quantity
 from ..runs import Run, collect
 from ..scan import objects_of, scan
@@ -25,10 +27,21 @@ TIME_RELEVANT: Final = 0.1
 _SHORTEST_MS: Final = 0.1
 """Shorter times count as this time."""
 _FRAME: Final = "frame"
+CLASSES: Final = tuple(dict.fromkeys(first for first, *_ in LABEL_CLASSES.values()))
+RINGS: Final = tuple(map(ring_name, RINGS_M))
 _DISTANCE: Final = "object_distance_error_m"
 _JITTER: Final = "second_difference", "jitter"
 """Part of a derived column's name, and of its metric's."""
-_LABELS: Final = {quantity.column.replace(*_JITTER): quantity.name for quantity in NUMBERS}
+_LABELS: Final = {
+    **{quantity.column.replace(*_JITTER): quantity.name for quantity in NUMBERS},
+    "objects_ap": "objects AP",
+    "objects_ate_m": "objects ATE",
+    "objects_ave_mps": "objects AVE",
+    **{f"tracks_{name}": f"tracks {name.upper()}" for name in ("hota", "mota", "idf1")},
+    "tracks_deta": "tracks DetA",
+    "tracks_assa": "tracks AssA",
+    "objects_recall": "recall of objects in the path at",
+}
 
 
 @dataclass(frozen=True)
@@ -37,7 +50,8 @@ class Metric:
 
     ``--ignore`` matches ``name``. The judged number is the absolute value, or the value itself if high is better. With
     ``share`` the values are booleans. With ``timed`` it is a time in ms, which depends on the machine and is judged on
-    request only; ``relevant`` is then a ratio. Metrics of one ``group`` restate one cause.
+    request only; ``relevant`` is then a ratio. With ``whole`` it is a figure of all frames together: the values are
+    what each frame contributes, and only their mean is judged. Metrics of one ``group`` restate one cause.
     """
 
     name: str
@@ -47,6 +61,7 @@ class Metric:
     higher_is_better: bool = False
     share: bool = False
     timed: bool = False
+    whole: bool = False
     relevant: float = COVERAGE_RELEVANT
     limit: float | None = None
 
@@ -65,7 +80,7 @@ class Metric:
         """The judged numbers of (N,) values; of a time its logarithm, so that one slow frame weighs as any other."""
         if self.timed:
             return np.log(np.maximum(values, _SHORTEST_MS))
-        return values if self.higher_is_better else np.abs(values)
+        return values if self.higher_is_better or self.whole else np.abs(values)
 
     def shown(self, judged: float) -> float:
         """A judged number, or a mean of them, in the metric's unit; of times this is the geometric mean."""
@@ -103,11 +118,29 @@ _COVERING: Final = (
     ("surface_source", "surface"),
     *((q.column, q.stage) for q in (*SEEN, *OFFSETS, *ERRORS) if _DECLARED[q.column].compares_coverage),
 )
+
+
+def _whole(name: str, group: str, relevant: float, unit: str = RATIO) -> Metric:
+    return Metric(name, pl.lit(None, pl.Float64), group, unit, unit == RATIO, whole=True, relevant=relevant)
+
+
+OF_OBJECTS: Final = (
+    *(
+        _whole(name, "object detection", 0.01)
+        for name in ("objects_ap", *(f"objects_ap.{of}" for of in (*CLASSES, *RINGS)))
+    ),
+    _whole("objects_ate_m", "object detection", 0.05, "m"),
+    _whole("objects_ave_mps", "object detection", 0.1, "m/s"),
+    *(_whole(f"objects_recall.{band_name(band_s)}", "objects in the path", 0.01) for band_s in BANDS_S),
+    *(_whole(f"tracks_{name}", "object tracks", 0.01) for name in ("hota", "deta", "assa", "mota", "idf1")),
+)
+"""The figures of ``eval/objects/``, which need all true objects."""
 METRICS: Final = (
     *map(_error, (*ERRORS, *JITTERS)),
     *(_share(f"{name}.{best}", stage, (pl.col(name) == best).fill_null(False)) for name, best, stage in _BEST_STATES),
     *(_share(f"{name}.coverage", stage, pl.col(name).is_not_null()) for name, stage in _COVERING),
     *map(_time, STAGE_TIMES),
+    *OF_OBJECTS,
 )
 """The metrics on which two runs are judged.
 
@@ -164,7 +197,7 @@ def values_of(pairs: Sequence[RunPair], overlaps: Sequence[Overlap]) -> list[lis
     Raises:
         TableError: a table's data cannot be read.
     """
-    joined = [_joined(pair) for pair in pairs]
+    joined = [_joined(pair, parts_of(len(pairs))) for pair in pairs]
     labels = sorted(set[str]().union(*(found for _, found in joined)))
     every = [[_kept(pair, found) for pair, found in zip(pairs, overlaps, strict=True)]]
     every += [
@@ -187,14 +220,18 @@ def _of_truth(name: str) -> str:
     return f"{TRUTH_OF[column]}{dot}{of}" if column in TRUTH_OF else ""
 
 
-def _joined(pair: RunPair) -> tuple[pl.DataFrame, set[str]]:
+def _joined(pair: RunPair, parts: int) -> tuple[pl.DataFrame, set[str]]:
     """The metrics of the common frames, and the classes of objects with known distances in both runs."""
     (ours, first), (theirs, second) = (_measured(run, pair.by_segment) for run in (pair.base, pair.new))
-    return ours.join(theirs, on=KEY, suffix=NEW).sort(KEY), first & second
+    joined = ours.join(theirs, on=KEY, suffix=NEW).sort(KEY)
+    for run, side in ((pair.base, ""), (pair.new, NEW)):
+        values = frame_values(run, joined[_FRAME + side].to_numpy(), parts)
+        joined = joined.with_columns(pl.Series(name + side, of) for name, of in values.items())
+    return joined, first & second
 
 
 def _measured(run: Run, by_segment: bool) -> tuple[pl.DataFrame, set[str]]:
-    values = [metric.value.alias(metric.name) for metric in METRICS]
+    values = [metric.value.alias(metric.name) for metric in METRICS if not metric.whole]
     frames = collect(numbered(scan(run), by_segment).select(*KEY, _FRAME, *values), run.source_name)
     classes = _class_errors(run)
     if classes is None:

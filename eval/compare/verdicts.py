@@ -178,7 +178,7 @@ def _mean_mark(metric: Metric, difference: float, interval: Interval, allowed: f
 def tail_findings(
     logs: Sequence[LogValues], relevant: float, limit: float | None, tests: int, place: Place | None
 ) -> Iterator[MarkedStatistic]:
-    """The findings on the tail of one metric; none for times, and only the worst log for shares.
+    """The findings on the tail of one metric; none for times, and only the worst log for shares and whole figures.
 
     ``tests`` is the number of tests that share ``LEVEL``, ``place`` the worst frame.
     """
@@ -187,7 +187,7 @@ def tail_findings(
         return
     if len(logs) > 1:
         yield _worst_log(logs, relevant, tests)
-    if metric.share:
+    if metric.share or metric.whole:
         return
     base, new = ([metric.sign * log.judged[side] for log in logs] for side in (0, 1))
     bound, after, worse = _quantile(base, new, relevant, tests)

@@ -23,6 +23,8 @@ from ..compare.verdicts import Mark
 from ..configurations import UNKNOWN, grouped, settings_table, short_digest
 from ..findings import findings_of, report_lines
 from ..frame_commands import view_command, view_pair_command
+from ..objects.figures import tallies
+from ..objects.tables import object_tables
 from ..report.full_tables import full_tables
 from ..report.sources import load, source_of_runs
 from ..report.stages import stages_of
@@ -117,10 +119,11 @@ def _page(runs: Sequence[Run], command: Command) -> str:
     shown = [*(item.frame for item in ranked), *(lead.frames if lead else ())]
     pictures = gallery(shown, drawn, command)
     driven = [paths(run) for run in series]
+    of_objects = dict(zip(names, tallies(frames, groupings[0]), strict=True))
     charts = {
         "Over time": [*over_time(series), *stage_times(series)],
         "Trajectory": [*trajectory(series, driven), *poses_over_time(series, driven)],
-        "Precision and recall": list(precision_recall(drawn)),
+        "Precision and recall": list(precision_recall(of_objects)),
         "Error distributions": list(distributions(series)),
     }
     return render(
@@ -141,6 +144,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
                 settings_table({run.name: run for run in drawn}),
                 identity(summaries, drawn),
                 *full_tables(summaries),
+                *object_tables(of_objects),
             )
         ],
         **_charts(charts),

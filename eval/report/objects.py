@@ -8,6 +8,7 @@ import polars as pl
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import ObjectMetrics, columns_of
+from roadperc_stream.schemas.columns.places import OBJECT_PLACE
 from roadperc_stream.system.files import OBJECTS_SUFFIX
 
 from ..dataset.reading import reading_files
@@ -20,7 +21,7 @@ from .stages import LISTED
 
 _LOG: Final = "log"
 _CLASS: Final = "class"
-OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {_CLASS}
+OBJECT_COLUMNS: Final = frozenset(columns_of(ObjectMetrics)) | {*OBJECT_PLACE, _CLASS}
 
 
 def of_objects(by: Sequence[str], source: FrameSource) -> bool:

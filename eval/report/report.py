@@ -28,6 +28,8 @@ from ..dataset.pairs import in_a_folder
 from ..dataset.place import Dataset, dataset_at, metrics_files, read_runs
 from ..findings import Found, finding_counts, findings_of, findings_of_dataset, report_lines
 from ..frame_commands import view_command, view_dataset_command
+from ..objects.figures import tallies
+from ..objects.tables import object_tables
 from ..options import ReportOptions, Rules
 from ..report_columns import (
     HINDSIGHT,
@@ -169,6 +171,7 @@ def _short(subject: Subject, options: ReportOptions) -> Results:
     """The stages of one run or group, or a row for each of several; the verdict on two runs of a log; or slices."""
     if options.by and of_objects(options.by, subject.source):
         found = object_slices(subject.source, options.by)
+        found = replace(found, tables=(*found.tables, *_of_all_objects(subject.source)))
     elif options.by or subject.dataset:
         found = _short_of_groups(subject, options.by)
     else:
@@ -323,7 +326,7 @@ def _full_of_runs(subject: Subject, worst: int) -> Results:
     else:
         tables += [_contents(by_run), settings_table({group.name: group.example for group in groups})]
         tables += [_runs_table(by_run, tuple(legend(short))), *_extents(together)]
-    tables += [*full_tables(together), *_agreement(frames), worst_frames(together)]
+    tables += [*full_tables(together), *_of_objects(frames, groupings[0]), *_agreement(frames), worst_frames(together)]
     if len(runs) > 1:
         tables += rows_tables("Run", by_run)
     if len(runs) > len(groups):
@@ -342,7 +345,9 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
     summaries = [replace(summary, name=names[summary.name]) for summary in summaries]
     tables: list[Table | str] = [settings_of_dataset(frames, subject.listed)] if dataset else []
     tables += [_groups_table(summaries, by, tuple(legend(names)))] if by else _extents(summaries)
-    tables += [*full_tables(summaries), *_agreement(frames), *([] if dataset else [worst_frames(summaries)])]
+    groups = replace(groups, names=[names[name] for name in groups.names])
+    tables += [*full_tables(summaries), *_of_objects(frames, groups), *_agreement(frames)]
+    tables += [] if dataset else [worst_frames(summaries)]
     tables += _left_out({"group": summaries})
     if worst is None:
         return Results("report", "Report", [_sliced(frames, groups, by)], tables)
@@ -357,6 +362,17 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
     shown = {run: short[name] for run, name in full.items()}
     tables += [worst_logs_table(worst, shown), least_covered_table(worst, shown)]
     return Results("report", "Report", _head(subject, frames, FAILED_LISTED), tables, ("", *log_paths(frames, [*runs])))
+
+
+def _of_objects(frames: Frames, groups: Groups) -> Iterator[Table]:
+    """The tables on detections and tracks of each group, if the logs have true objects."""
+    return object_tables(dict(zip(groups.names, tallies(frames, groups), strict=True)))
+
+
+def _of_all_objects(source: FrameSource) -> Iterator[Table]:
+    """The tables on detections and tracks of all frames."""
+    frames = load(source)
+    return _of_objects(frames, grouped_frames(frames, ()))
 
 
 def _agreement(frames: Frames) -> Iterator[Table]:

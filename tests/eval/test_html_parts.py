@@ -6,14 +6,13 @@ import json
 import cv2
 import numpy as np
 import plotly.graph_objects as go
-import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.eval.html.charts import distributions, paths, trajectory
 from roadperc_stream.eval.html.figures import Series, line, numbers, thinned
-from roadperc_stream.eval.html.known_plots import average_precision, curve, matched, poses_over_time
+from roadperc_stream.eval.html.known_plots import poses_over_time
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
 from roadperc_stream.eval.runs import find_runs
@@ -64,25 +63,6 @@ def test_numbers_are_valid_json_and_gaps_stay_gaps():
 def test_distribution_in_percent_also_of_equal_values():
     (chart,) = distributions([series(stereo_epe_px=[0.5] * 10 + [np.nan])])
     assert (set(chart.traces[0]["x"]), chart.traces[0]["y"][-1]) == ({0.5}, 100)
-
-
-def test_precision_and_recall_over_falling_scores():
-    true = np.array([True, False, True])
-    recall, precision = curve(np.array([0.9, 0.8, 0.1]), true, 2)
-    np.testing.assert_allclose(recall, [0.5, 0.5, 1])
-    np.testing.assert_allclose(precision, [1, 0.5, 2 / 3])
-    assert average_precision(np.array([0.5, 1.0]), np.array([1.0, 1.0])) == pytest.approx(1)
-    assert average_precision(np.array([0.05]), np.array([1.0])) == 0
-
-
-def test_a_detection_matches_the_nearest_free_object_of_its_frame():
-    """The second detection is nearer to the first object, but the first one has the higher score."""
-    found = {"frame": [0, 0, 1], "score": [0.9, 0.8, 0.7], "distance_m": [10.5, 10.1, 30.0], "lateral_m": [0, 0, None]}
-    true = {"frame": [0, 0, 2], "distance_m": [10.0, 13.0, 30.0], "lateral_m": [0.0, 0.0, 0.0]}
-    tables = [pl.DataFrame(table, strict=False) for table in (found, true)]
-    assert matched(*tables, 2.0).tolist() == [True, False, False]
-    assert matched(*tables, 4.0).tolist() == [True, True, False]
-    assert matched(*tables, 0.5).tolist() == [False, True, False]
 
 
 def poses(which, xy, yaw_deg=0.0):
