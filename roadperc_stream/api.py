@@ -7,12 +7,13 @@ z forward.
 
 from __future__ import annotations  # help() shows the name ArrayLike instead of its long definition
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from roadperc_stream.chain.own_stage import OwnStage, own_stages
@@ -20,17 +21,22 @@ from roadperc_stream.chain.prepare import prepare
 from roadperc_stream.chain.step import State, step
 from roadperc_stream.config import ReplayConfig, load_config, validated
 from roadperc_stream.errors import WITHOUT_CALIBRATION, ConfigError, RoadpercError, TableError
+from roadperc_stream.formats.images import encode_png
 from roadperc_stream.geometry import Camera, mounting
 from roadperc_stream.input import ReplaySource, arrays
 from roadperc_stream.input.rectified import rectified_frame
 from roadperc_stream.loop import replay as _replay
 from roadperc_stream.metrics import frame_metrics
-from roadperc_stream.model import Detection, Frame, FrameResult, Truth
+from roadperc_stream.model import Detection, Frame, FrameResult, Image, Truth
 from roadperc_stream.model.tag_tables import table_for_version
+from roadperc_stream.output.drawing.on_request import perceived
+from roadperc_stream.output.drawing.overlay import draw_results
+from roadperc_stream.output.input_log import write_input_log
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.output.writing import ReplaySummary
 from roadperc_stream.resume.opening import ReplayOptions, open_log
 from roadperc_stream.schemas.columns import FrameMetrics
+from roadperc_stream.system.files import require_free
 from roadperc_stream.system.threads import one_thread, usable_cores
 from roadperc_stream.system.time import TimeRange
 
@@ -129,6 +135,45 @@ class LogFrame:
         """The number of the frame and its result, in one line."""
         return f"frame {self.metrics.frame}: {self.result}"
 
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        return encode_png(draw(self.input, self.result)[..., ::-1])
+
+
+def draw(frame: Frame, result: FrameResult) -> Image:
+    """The results of a frame drawn into its camera image; without an image into its depth, else over black.
+
+    Args:
+        frame: ``LogFrame.input``, or a frame from ``Chain.frame``.
+        result: its result.
+
+    Returns:
+        (H, W, 3) uint8 in the order red, green, blue, as matplotlib and Pillow expect.
+    """
+    picture = draw_results(perceived(rectified_frame(frame), result), frame.camera.width)
+    return np.ascontiguousarray(picture[..., ::-1])
+
+
+def write_log(path: str | Path, frames: Iterable[Frame | LogFrame], *, force: bool = False) -> int:
+    """Write frames as a log that ``replay`` and the commands read; returns their number.
+
+    Calibration, mounting, images (lossless), depth, tags and detections are written, of a ``LogFrame`` also its truth.
+    Lidar points and instance masks are left out.
+
+    Args:
+        path: the log to write, ``NAME.mcap``.
+        frames: frames from ``Chain.frame`` or ``rp.frames``, in the order of their stamps.
+        force: replace an existing file.
+
+    Raises:
+        RoadpercError: the log exists or cannot be written, or there are no frames.
+    """
+    target = Path(path)
+    with _arguments_in_errors():
+        require_free(target, force=force, suffix=".mcap")
+        pairs = ((f.input, f.truth) if isinstance(f, LogFrame) else (f, Truth()) for f in frames)
+        return write_input_log(target, pairs)
+
 
 def frames(
     log: Source,
@@ -213,7 +258,7 @@ class Chain:
         self.segment = 0
         """Number of times that a stamp cleared the state since then."""
 
-    def step(
+    def frame(
         self,
         stamp_ns: int,
         *,
@@ -222,34 +267,25 @@ class Chain:
         tags: ArrayLike | None = None,
         detections: Sequence[Detection] | None = None,
         right_image: ArrayLike | None = None,
-    ) -> FrameResult:
-        """Run the chain on one frame; any input may be missing.
+    ) -> Frame:
+        """A frame of your own arrays, for ``step``, ``rp.draw`` and ``rp.write_log``; any input may be missing.
 
         Args:
-            stamp_ns: the frame's time, of any integer type. A stamp before the last frame's, or more than an hour after
-                it, begins a new ``segment``: it clears the state, and ``problems`` of the result has the reason.
+            stamp_ns: the frame's time, of any integer type.
             image: (H, W, 3) uint8 in OpenCV's order blue, green, red, or (H, W) grey.
             depth_m: (H, W) floating-point metres along the camera's z axis, NaN unknown.
             tags: (H, W) class of each pixel, by ``tag_table``: any integer type, 0 to 255.
             detections: in pixels, such as ``Detection("car", Box(150, 100, 180, 140), score=0.9)``.
             right_image: as ``image``, of the right camera.
 
-        Returns:
-            The output of each stage, or ``Absent`` with a reason.
-
         Raises:
             TypeError: the stamp or a detection has another type.
-            ValueError: an array has another shape or type, a detection's box is invalid, or the stamp is the last
-                frame's.
+            ValueError: an array has another shape or type, or a detection's box is invalid.
             ConfigError: tags were given without a tag table.
         """
-        camera = self._camera
-        right_camera = self._right_camera or camera
-        stamp_ns = arrays.checked_stamp_ns(stamp_ns)
-        if stamp_ns == self._state.stamp_ns:
-            raise ValueError(f"stamp_ns: {stamp_ns} is also the last frame's; pass a later one, or call reset() before")
-        frame = Frame.of(
-            stamp_ns,
+        camera, right_camera = self._camera, self._right_camera or self._camera
+        return Frame.of(
+            arrays.checked_stamp_ns(stamp_ns),
             camera,
             self._ego_T_camera,
             mounted=self._mounted,
@@ -260,11 +296,56 @@ class Chain:
             segmentation=None if tags is None else arrays.tag_image(tags, camera, self._table),
             detections=None if detections is None else arrays.checked_detections(detections),
         )
+
+    def step(
+        self,
+        stamp_ns: int | Frame,
+        *,
+        image: ArrayLike | None = None,
+        depth_m: ArrayLike | None = None,
+        tags: ArrayLike | None = None,
+        detections: Sequence[Detection] | None = None,
+        right_image: ArrayLike | None = None,
+    ) -> FrameResult:
+        """Run the chain on one frame; any input may be missing.
+
+        Args:
+            stamp_ns: the frame's time, or the whole frame from ``frame``. A stamp before the last frame's, or more than
+                an hour after it, begins a new ``segment``: it clears the state, and ``problems`` of the result has the
+                reason.
+            image: the arrays as for ``frame``.
+            depth_m: see ``frame``.
+            tags: see ``frame``.
+            detections: see ``frame``.
+            right_image: see ``frame``.
+
+        Returns:
+            The output of each stage, or ``Absent`` with a reason.
+
+        Raises:
+            TypeError: as ``frame``, or a frame and arrays are both given.
+            ValueError: as ``frame``, or the stamp is the last frame's.
+            ConfigError: as ``frame``.
+        """
+        given = (image, depth_m, tags, detections, right_image)
+        if isinstance(stamp_ns, Frame):
+            if any(value is not None for value in given):
+                raise TypeError("step: pass a frame or arrays, not both")
+            frame = stamp_ns
+        else:
+            frame = self.frame(
+                stamp_ns, image=image, depth_m=depth_m, tags=tags, detections=detections, right_image=right_image
+            )
+        self._require_later(frame.stamp_ns)
         with one_thread():
             prepared = prepare(self._cfg, rectified_frame(frame), own=self._own)
             self._state, result = step(self._cfg, self._state, prepared, own=self._own)
         self.segment += any(problem.source == "time" for problem in result.problems)
         return result
+
+    def _require_later(self, stamp_ns: int) -> None:
+        if stamp_ns == self._state.stamp_ns:
+            raise ValueError(f"stamp_ns: {stamp_ns} is also the last frame's; pass a later one, or call reset() before")
 
 
 def read_metrics(run: str | Path | Sequence[str | Path]) -> pl.DataFrame:

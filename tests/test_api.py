@@ -297,3 +297,50 @@ def test_a_result_prints_as_one_line():
     car = Object(rp.Detection("car", rp.Box(0, 0, 4, 4), score=1.0), kept=True, distance_m=12.34)
     assert str(Objects((car,))) == f"objects: 1 of 1 kept, nearest: {car}"
     assert str(car) == "car at 12.3 m"
+
+
+def test_a_log_written_from_frames_replays_to_the_same_results(tmp_path):
+    """All inputs of the chain come back bit by bit, the truth up to the rounding of poses as quaternions."""
+    copy = tmp_path / "copy.mcap"
+    assert rp.write_log(copy, rp.frames(SAMPLE, max_frames=6)) == 6
+    with pytest.raises(rp.RoadpercError, match=r"copy\.mcap: exists; pass force=True to overwrite it"):
+        rp.write_log(copy, [])
+    for ours, theirs in zip(*(rp.frames(path, max_frames=6) for path in (SAMPLE, copy)), strict=True):
+        assert np.array_equal(ours.input.image.bgr, theirs.input.image.bgr)
+        assert str(ours.result) == str(theirs.result)
+        for column, value in vars(ours.metrics).items():
+            if column != "log_id":
+                expected = pytest.approx(value, rel=1e-9) if isinstance(value, float) else value
+                assert getattr(theirs.metrics, column) == expected, column
+
+
+def test_arrays_are_written_drawn_and_stepped_as_one_frame(tmp_path):
+    depth_m, tags = road()
+    image = np.full((240, 320, 3), (200, 10, 10), np.uint8)
+    box = rp.Detection("car", rp.Box(10, 10, 40, 40), 0.9)
+    chain = rp.Chain(CAMERA, tag_table="0.9.15", ego_T_camera=rp.mounting(z=1.5, pitch=1))
+    frames = [chain.frame(k * STEP_NS, image=image, depth_m=depth_m, tags=tags, detections=[box]) for k in range(3)]
+    assert rp.write_log(str(tmp_path / "in.mcap"), frames) == 3
+    for frame, replayed in zip(frames, rp.frames(tmp_path / "in.mcap"), strict=True):
+        result = chain.step(frame)
+        assert str(result) == str(replayed.result)
+        picture = rp.draw(frame, result)
+        assert (picture.shape, picture.dtype) == ((240, 320, 3), np.uint8)
+        assert picture[5, 300].tolist() == [10, 10, 200], "red, green, blue"
+        assert np.array_equal(picture, rp.draw(replayed.input, replayed.result))
+        assert replayed._repr_png_().startswith(b"\x89PNG")
+        assert "lanes" in result._repr_html_()
+    with pytest.raises(TypeError, match="step: pass a frame or arrays, not both"):
+        chain.step(frames[0], image=image)
+    with pytest.raises(rp.RoadpercError, match=r"none\.mcap: expected one frame or more, found none"):
+        rp.write_log(tmp_path / "none.mcap", [])
+    assert {path.name for path in tmp_path.iterdir()} == {"in.mcap"}
+
+
+def test_a_frame_without_an_image_is_drawn_over_its_depth_else_over_black():
+    depth_m, tags = road()
+    chain = rp.Chain(CAMERA, tag_table="0.9.15")
+    with_depth, bare = chain.frame(0, depth_m=depth_m, tags=tags), chain.frame(STEP_NS)
+    red, _, blue = rp.draw(with_depth, chain.step(with_depth))[235, 5].tolist()
+    assert red > blue
+    assert not rp.draw(bare, rp.Chain(CAMERA).step(bare)).any()

@@ -23,6 +23,7 @@ from roadperc_stream.input.stream import Problems, RoleAssignment, decoded_messa
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, Metadata
 from roadperc_stream.model import CameraImage, DepthImage, TagImage
 from roadperc_stream.output import encoding
+from roadperc_stream.output.input_log import channel_of
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES, Kind
 from roadperc_stream.system.files import completing
@@ -33,7 +34,7 @@ from .corruptions.draw import Draw
 from .corruptions.levels import LEVELS
 from .corruptions.sensors import CONTENTS, DELIVERIES
 from .log_copy import copy_records
-from .recording import JPEG_QUALITY, channel_of
+from .recording import JPEG_QUALITY
 
 _SENSORS: Final[tuple[Kind, ...]] = ("image", "tags", "instances", "depth", "points", "detections")
 _READ: Final[tuple[Kind, ...]] = (*_SENSORS, "tf")

@@ -23,6 +23,7 @@ from roadperc_stream.input.topics import fits
 from roadperc_stream.log import Channel, LogSummary, LogWriter, Message, MessageCopy, Metadata
 from roadperc_stream.model import CameraImage
 from roadperc_stream.output import encoding
+from roadperc_stream.output.input_log import channel_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas import record
 from roadperc_stream.schemas.roles import ROLES
@@ -38,7 +39,6 @@ from .networks.description import read_network
 from .networks.frames import Inferred, Pair, RawResult, load
 from .networks.plausibility import RoadCheck
 from .networks.semantic import HorizonEstimate
-from .recording import channel_of
 from .video_log import videos_of
 
 _IMAGE_ROLES: Final = ("image", "left")

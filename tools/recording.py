@@ -14,8 +14,7 @@ from roadperc_stream.log import Channel, Message
 from roadperc_stream.model import Detection
 from roadperc_stream.model.tag_tables import TagTable
 from roadperc_stream.output import encoding
-from roadperc_stream.schemas.protobuf import schema
-from roadperc_stream.schemas.record import TAG_TABLE_KEY
+from roadperc_stream.output.input_log import channel_of
 from roadperc_stream.schemas.roles import ROLES
 
 from .rig import Rig
@@ -57,19 +56,6 @@ def channels_of(rigs: Iterable[Rig], roles: Iterable[str], tag_table: TagTable |
     """Return the channels of roles and of what the rigs state, in the order of ``ROLES``."""
     filled = {role for rig in rigs for role, _ in static_messages(rig, 0)} | set(roles)
     return {role: channel_of(role, tag_table) for role in ROLES if role in filled}
-
-
-def channel_of(role: str, tag_table: TagTable | None = None) -> Channel:
-    """Return the channel of a role; that of tags names its table."""
-    definition = schema(ROLES[role].schema)
-    return Channel(
-        ROLES[role].topic,
-        definition.message_encoding,
-        definition.name,
-        definition.schema_encoding,
-        definition.data,
-        ((TAG_TABLE_KEY, tag_table.name),) if tag_table and ROLES[role].kind == "tags" else (),
-    )
 
 
 def static_messages(rig: Rig, first_ns: int) -> list[tuple[str, bytes]]:

@@ -22,10 +22,11 @@ from roadperc_stream.input.decoding import context_of_channel, decode, schemas_o
 from roadperc_stream.log import Channel, LogSummary, Message
 from roadperc_stream.model import VideoFrame
 from roadperc_stream.output import encoding
+from roadperc_stream.output.input_log import channel_of
 from roadperc_stream.schemas.topics import VIDEO_SCHEMAS
 from roadperc_stream.system.text import shown
 
-from .recording import JPEG_QUALITY, Recording, channel_of
+from .recording import JPEG_QUALITY, Recording
 from .video_file import open_capture
 
 _KEY_FRAMES: Final = {

@@ -76,7 +76,7 @@ def rectified_by(payload: Any, lens: Camera) -> Any:
             changed = {"box_px": model.Box(*sides)}
         case model.CameraImage():
             bgr, grey = _remapped(lambda: payload.bgr, lens), _remapped(lambda: payload.grey, lens)
-            changed = {"decode_bgr": bgr, "decode_grey": grey}
+            changed = {"decode_bgr": bgr, "decode_grey": grey, "encoded": b""}
         case model.TagImage():
             changed = {"decode_tags": _remapped(lambda: payload.tags, lens, nearest=True)}
         case model.InstanceImage():

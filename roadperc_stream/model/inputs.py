@@ -25,6 +25,8 @@ class CameraImage:
     """Whether the message stores the pixels themselves: raw, or as a PNG."""
     coding: str = ""
     """Format of the file, such as ``png``, or encoding of raw pixels, such as ``rgb8``; empty if unknown."""
+    encoded: bytes = field(default=b"", repr=False)
+    """The image file of the message; empty if the pixels are raw or rectified."""
 
     @property
     def size(self) -> tuple[int, int]:

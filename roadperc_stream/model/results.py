@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Literal
 
 import numpy as np
@@ -319,6 +320,11 @@ class FrameResult:
 
     def __str__(self) -> str:
         return f"{self.stamp_ns} ns: {self.surface}; {self.lanes}; {self.objects}; {self.odometry}"
+
+    def _repr_html_(self) -> str:
+        """The lines that a notebook shows."""
+        shown = (self.surface, self.lanes, self.objects, self.odometry, *self.problems)
+        return "".join(f"<div>{escape(str(line))}</div>" for line in (f"{self.stamp_ns} ns", *shown))
 
     def reasons(self) -> tuple[Reason, ...]:
         """The reasons of absent outputs, and the problems of the input."""

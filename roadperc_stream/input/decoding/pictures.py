@@ -1,6 +1,7 @@
 """Decodes images, tags, instance masks and depth from raw pixels or image files."""
 
 import struct
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -107,7 +108,8 @@ def _of_file(kind: Kind, frame_id: str, content: bytes, context: Context) -> Pic
 
     coding = images.format_of(content).lower()
     if kind == "image":
-        return CameraImage(frame_id, bgr, lambda: images.decode_grey(content, limits), size, _is_png(content), coding)
+        grey = partial(images.decode_grey, content, limits)
+        return CameraImage(frame_id, bgr, grey, size, _is_png(content), coding, content)
     if kind == "instances":
         if not _is_png(content):
             raise DecodeError("instance masks: expected a lossless PNG with CARLA's coding")

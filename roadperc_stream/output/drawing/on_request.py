@@ -218,6 +218,19 @@ def _with_legend(canvas: Canvas, phrases: Iterable[tuple[str, Colour]]) -> model
     return canvas.pixels
 
 
+def perceived(frame: model.Frame, result: model.FrameResult) -> PerceivedFrame:
+    """The results of a frame over its camera image; without an image over its depth, else over black."""
+    rows, columns = frame.camera.height, frame.camera.width
+    depth_m = frame.depth_m
+    if depth_m is None and frame.depth_image is not None:  # of a frame that is not prepared
+        depth_m = frame.depth_image.depth_m
+    image = _pixels(frame.image)
+    if image is None:
+        image = np.zeros((rows, columns, 3), np.uint8) if depth_m is None else depth_picture(depth_m)
+    fits = image.shape[:2] == (rows, columns)
+    return PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
+
+
 _JPEG_QUALITY: Final = 85
 Picture = tuple[str, str, model.Image]
 """Topic, frame_id and (H, W, 3) pixels."""
