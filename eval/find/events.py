@@ -72,6 +72,14 @@ class Clips:
 
 
 @dataclass(frozen=True)
+class EventPage:
+    """The page of events, and the settings KEY=VALUE to change in a log that was not kept and is replayed."""
+
+    path: Path
+    changed: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class Logs:
     """The logs to search: their tables, and how to name a log, to show a frame of it, and to open its runs.
 

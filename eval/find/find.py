@@ -12,7 +12,8 @@ import polars as pl
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.terminal import console_for
-from roadperc_stream.system.text import number, shown
+from roadperc_stream.system.files import require_suffix
+from roadperc_stream.system.text import number, print_line, shown
 
 from ..continued import find_joined
 from ..dataset.keys import LOG, LogKey, log_names
@@ -24,7 +25,7 @@ from ..frames import runs_of_keys
 from ..results import ResultFiles, Results
 from ..runs import Run
 from ..scan import objects_of, rows_of
-from .events import Clips, Condition, Event, Logs, condition_of, events_of, matches
+from .events import Clips, Condition, Event, EventPage, Logs, condition_of, events_of, matches
 
 _LISTED: Final = 40
 """Events in the table."""
@@ -44,13 +45,15 @@ class Query:
     least_s: float = 0.0
 
 
-def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> None:
-    """Print the events of a condition in a dataset or in runs; write them as JSON, and excerpts of the logs.
+def find(source: str, query: Query, json: Path | None, gallery: EventPage | None, clips: Clips | None) -> None:
+    """Print the events of a condition in a dataset or in runs; write them as JSON, as a page, and as excerpts.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or the condition does not fit.
         RoadpercError: a file cannot be written, or a log cannot be read or replayed.
     """
+    if gallery is not None:
+        require_suffix(gallery.path, ".html", ".htm")
     dataset = dataset_at(source)
     logs = _of_dataset(dataset) if dataset else _of_runs(find_joined([source]).runs)
     schema = logs.schema()
@@ -63,11 +66,19 @@ def find(source: str, query: Query, json: Path | None, clips: Clips | None) -> N
     results = Results("find", "Events", [*_lines(events, condition, query.condition)], values=values)
     results.write(ResultFiles(json))
     results.print(console_for(sys.stdout))
-    if events and clips:
-        from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
+    if not events or not (gallery or clips):
+        return
+    with ExitStack() as files:
+        runs = logs.runs(list(dict.fromkeys(event.key for event in events)), files)
+        if gallery is not None:
+            from .gallery import write_gallery  # noqa: PLC0415 - only pictures need the drawing
 
-        with ExitStack() as files:
-            write_clips(events, logs.runs(list(dict.fromkeys(event.key for event in events)), files), clips)
+            write_gallery(gallery.path, events, runs, query.condition, condition.peak, gallery.changed)
+            print_line(f"wrote {gallery.path}")
+        if clips:
+            from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
+
+            write_clips(events, runs, clips)
 
 
 def _event(row: Mapping[str, Any], logs: Logs, clips: Path | None) -> Event:

@@ -44,7 +44,7 @@ RUNS_DRAWN: Final = 8
 _NOT_NAMED: Final = "not named"
 _NO_PARTS: Final[dict[str, Any]] = {
     **dict.fromkeys(("left_out", "compared", "lead", "gallery"), None),
-    **dict.fromkeys(("findings", "bars", "ranked"), ()),
+    **dict.fromkeys(("findings", "bars", "ranked", "events"), ()),
     "charts": {},
 }
 """The parts that only a page over runs has."""

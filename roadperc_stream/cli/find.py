@@ -15,6 +15,7 @@ example:
   roadperc-find dataset "objects.label = 'Pedestrian' and objects.distance_m < 10 and step_m > 0.5"
   roadperc-find dataset "odometry_status = 'lost'" --peak turn_deg --json events.json
   roadperc-find dataset "time_to_impact_s < 2" --clips clips    also an excerpt of the log for each event
+  roadperc-find dataset "time_to_impact_s < 2" --gallery events.html    a page with a picture of each event
   roadperc-find out.mcap "time_to_impact_s < 2"                 the events of one run
 """
 
@@ -22,12 +23,13 @@ example:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-find``: print the events, with the command that shows each."""
     arguments = parse(_parser(), argv)
-    from roadperc_stream.eval.find.events import Clips
+    from roadperc_stream.eval.find.events import Clips, EventPage
     from roadperc_stream.eval.find.find import Query, find
 
     query = Query(arguments.condition, arguments.peak or "", arguments.gap, arguments.min_seconds)
     clips = Clips(arguments.clips, arguments.topic, arguments.set, arguments.force) if arguments.clips else None
-    return run(lambda: find(arguments.dataset, query, arguments.json, clips))
+    page = EventPage(arguments.gallery, arguments.set) if arguments.gallery else None
+    return run(lambda: find(arguments.dataset, query, arguments.json, page, clips))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -50,11 +52,13 @@ def _parser() -> argparse.ArgumentParser:
     add(parser, "--peak", metavar="COLUMN", help=peak)
     clips = "write an excerpt of the log, with results, for each event"
     add(parser, "--clips", metavar="DIR", type=Path, help=clips, completer=files())
+    gallery = "write a page with a picture of each event; a click copies the command that shows it"
+    add(parser, "--gallery", metavar="FILE.html", type=Path, help=gallery, completer=files(".html"))
     add_shared(
         parser,
         "topic",
         json="write all events as one nested object",
         force="with --clips: replace existing excerpts",
-        set="with --clips, if a log is replayed: repeat STAGE.implementation=MODULE:NAME, or change a setting",
+        set="if a log is replayed: repeat STAGE.implementation=MODULE:NAME, or change a setting",
     )
     return parser

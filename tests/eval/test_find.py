@@ -1,6 +1,7 @@
 """roadperc-find: events with known answers, conditions on objects, one-line errors, and clips that replay alone."""
 
 import json
+import re
 import shutil
 from dataclasses import fields
 
@@ -176,3 +177,27 @@ def test_a_clip_has_the_results_and_replays_alone(kept, result, capsys, tmp_path
     code, _, err = outcome(find.main, capsys, *asked)
     assert (code, err.splitlines()[0]) == (1, f"warning: no {clip}: {clip}: exists; pass --force to overwrite it")
     assert not kept or outcome(find.main, capsys, *asked, "--force")[0] == 0
+
+
+def test_the_gallery_shows_the_peak_of_each_event_and_its_command(result, capsys, tmp_path):
+    """Also of a log that was not kept, which is replayed; a picture that cannot be drawn has a reason."""
+    page, run = tmp_path / "events.html", shutil.copytree(result.parent, tmp_path / "run")
+    table, condition = run / "out.metrics.parquet", "frame % 10 = 3 and frame < 20"
+    pages = {}
+    for name in ("kept", "replayed"):
+        code, out, _ = outcome(find.main, capsys, table, condition, "--gap", "0.1", "--gallery", page)
+        assert (code, out.splitlines()[-1]) == (0, f"wrote {page}")
+        pages[name] = re.findall(
+            r'<img src="(data:image/jpeg;base64,[^"]+)" alt="frame (\d+) ', page.read_text("utf-8")
+        )
+        (run / "out.mcap").unlink(missing_ok=True)
+    assert sorted(int(frame) for _, frame in pages["kept"]) == [3, 13]
+    assert pages["kept"] == pages["replayed"]
+    assert len({image for image, _ in pages["kept"]}) == 2
+    assert f"roadperc-view {table} --frame 13</code>" in page.read_text("utf-8")
+    text = table.with_name("other.metrics.parquet")
+    rows = pl.read_parquet(table)
+    rows.write_parquet(text)
+    assert outcome(find.main, capsys, text, condition, "--gallery", page)[0] == 0
+    assert "does not record the input and the configuration" in page.read_text("utf-8")
+    assert outcome(find.main, capsys, table, condition, "--gallery", tmp_path / "x.mcap")[0] == 1
