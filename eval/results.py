@@ -2,12 +2,14 @@
 
 import json
 import math
+import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
+from urllib.parse import quote
 from xml.etree import ElementTree
 
 from rich.console import Console
@@ -54,7 +56,8 @@ class Results:
     """What a command found.
 
     ``head`` and ``tail`` are lines above and below the ``tables``; a text among the tables is a line that wraps.
-    ``values`` are the same figures for JSON, and ``cases`` are those of the JUnit file.
+    ``values`` are the same figures for JSON, and ``cases`` are those of the JUnit file. ``pictures`` are captions and
+    files, which the Markdown refers to by their relative paths.
     """
 
     command: str
@@ -64,6 +67,7 @@ class Results:
     tail: Sequence[str] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
     cases: Sequence[Case] = ()
+    pictures: Sequence[tuple[str, Path]] = ()
 
     def print(self, console: Console) -> None:
         """Print the lines and the tables."""
@@ -90,16 +94,21 @@ class Results:
         if files.json is not None:
             write_json(files.json, self.values)
         if files.markdown is not None:
-            _append(files.markdown, self._markdown())
+            _append(files.markdown, self._markdown(files.markdown.parent))
         if files.junit is not None:
             _write(files.junit, _junit(f"roadperc-{self.command}", self.cases))
 
-    def _markdown(self) -> str:
-        """A heading, a list of the lines, and the tables."""
+    def _markdown(self, folder: Path) -> str:
+        """A heading, a list of the lines, the pictures with paths relative to a folder, and the tables."""
         texts = (part for part in self.tables if isinstance(part, str) and part)
         lines = "\n".join(f"- {markdown_text(line)}" for line in (*self.head, *texts, *self.tail))
         tables = (table.markdown() for table in self.tables if isinstance(table, Table))
-        return "\n\n".join(filter(None, (f"## {markdown_text(self.title)}", lines, *tables))) + "\n"
+        shown_here = (
+            f"{markdown_text(caption)}\n\n![{markdown_text(caption)}]({quote(os.path.relpath(path, folder))})"
+            for caption, path in self.pictures
+        )
+        parts = f"## {markdown_text(self.title)}", lines, *shown_here, *tables
+        return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

@@ -36,9 +36,9 @@ CHECK = "roadperc-check out.mcap"
 BENCHES = ("bench", "bench.compare")
 OTHERS = {
     "--delta_unit", "--all_pairs", "--shell", "--inplace", "--head", "--address", "--force-regen",
-    "--rm", "--env", "--volume", "--detach",
+    "--rm", "--env", "--volume", "--detach", "--jq", "--method", "--paginate", "--silent",
 }  # fmt: skip
-"""Options of evo, argcomplete, setuptools, Ray, pytest and containers on the pages."""
+"""Options of evo, argcomplete, setuptools, Ray, pytest, containers and GitHub's gh on the pages."""
 LONGEST_SENTENCE = 30
 """Words."""
 

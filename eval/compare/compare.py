@@ -22,6 +22,7 @@ from ..runs import Run
 from .comparison import compare_runs
 from .fields import same_except_times
 from .pairing import Pairing, logged_runs, pair_runs
+from .pictures import draw_worst
 from .summary import for_people, for_programs
 
 Copy = tuple[Path, Path]
@@ -33,12 +34,13 @@ class CompareOptions:
     """How to compare two sides, and what to print.
 
     ``configs`` are the configurations of base and new in a dataset, None for the only one. The file ``criteria`` has
-    relevant effects and limits, which replace those of ``rules``.
+    relevant effects and limits, which replace those of ``rules``. ``pictures`` is a folder for the worst frames.
     """
 
     configs: tuple[str | None, str | None] = (None, None)
     rules: Rules = field(default_factory=Rules)
     criteria: Path | None = None
+    pictures: Path | None = None
     full: bool = False
     exact: bool = False
     other_log: bool = False
@@ -67,9 +69,12 @@ def compare(base: str, new: str | None, options: CompareOptions, files: ResultFi
         pairing = pair_runs(*sides, options.other_log)
         logs = (path, Path(new)) if new and path.suffix == Path(new).suffix == ".mcap" else None
         found = compare_runs(pairing, logs, _rules(options))
-        for_programs(found, exact=options.exact).write(files)
+        pictures, notes = draw_worst(found, options.pictures) if options.pictures else ([], [])
+        replace(for_programs(found, exact=options.exact), pictures=pictures, tail=notes).write(files)
         with optional_output():
             for_people(found, full=options.full, all_fields=options.exact).print(console_for(sys.stdout))
+            for line in (*(f"wrote {path}: {caption}" for caption, path in pictures), *notes):
+                print_line(line)
     if options.update_reference:
         _update(_copies(path, pairing))
     elif found.regressions:

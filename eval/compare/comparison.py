@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 from ..configurations import change
-from ..options import Rules
+from ..options import WORST_FRAMES, Rules
 from ..runs import Run
 from .fields import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .metrics import FRAMES, METRICS
 from .pairing import Pairing
-from .verdicts import Mark, Place, Verdict, verdicts
+from .verdicts import APART_NS, Mark, Place, Verdict, verdicts
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,17 @@ class Comparison:
         return [CauseGroup(name, tuple(found)) for name, found in by_name.items()]
 
     @property
-    def worst_place(self) -> Place | None:
-        """The frame of the worse metric with the largest effect."""
-        worse = sorted(self.named("worse"), key=lambda verdict: -verdict.weight)
-        return next((verdict.place for verdict in worse if verdict.place), None)
+    def worst_places(self) -> list[Place]:
+        """The frames in which the new run is worse by most: the worst one of each cause, then the second ones.
+
+        They are different moments, the one of the cause with the largest effect first.
+        """
+        by_cause = ([at for verdict in group.verdicts for at in verdict.places] for group in self.groups("worse"))
+        found: list[Place] = []
+        for place in (place for rank in zip_longest(*by_cause) for place in rank if place is not None):
+            near = (abs(at.stamp_ns - place.stamp_ns) < APART_NS for at in found if at.pair is place.pair)
+            found += [] if any(near) else [place]
+        return found[:WORST_FRAMES]
 
     @property
     def regressions(self) -> list[str]:

@@ -101,7 +101,7 @@ def _cases(found: Comparison, *, exact: bool) -> Iterator[Case]:
     every = pairs[0].name if len(pairs) == 1 else "all logs"
     for finding in (finding for verdict in found.verdicts if verdict.judged for finding in verdict.findings):
         worse, text = finding.mark == "worse", f"{finding.mark}: {_values(finding)}"
-        text += f"\n{_where(finding.metric, finding.place)}" if worse and finding.place else ""
+        text += f"\n{_where(finding.place)}" if worse and finding.place else ""
         result: Outcome = "failed" if worse else "passed"
         yield Case(finding.log or every, f"{finding.metric.name} {finding.statistic}", result, text)
     yield from (Case(run.name, "run", "failed", "missing in the new run") for run in found.pairing.missing)
@@ -202,11 +202,16 @@ def _text(value: Value, digits: int) -> str:
     return text if len(text) <= _TEXT_SHOWN else f"{text[:_TEXT_SHOWN]}…"
 
 
-def _where(metric: Metric, place: Place) -> str:
+def _where(place: Place) -> str:
     """The frame, its log, both values, and the command that shows it."""
-    scale, unit = _shown_unit(metric, "mean")
-    values_there = both_values(place.base * scale, place.new * scale) + unit
-    return f"frame {place.frame} of {place.pair.name}, {values_there}: {_command(place)}"
+    values, unit = values_at(place)
+    return f"frame {place.frame} of {place.pair.name}, {values}{unit}: {_command(place)}"
+
+
+def values_at(place: Place) -> tuple[str, str]:
+    """The metric of base and new in a frame with an arrow, and its unit."""
+    scale, unit = _shown_unit(place.metric, "mean")
+    return both_values(place.base * scale, place.new * scale), unit
 
 
 def _command(place: Place) -> str:
@@ -222,7 +227,7 @@ def _group(group: CauseGroup, mark: Mark, *, full: bool) -> Iterator[str]:
     yield f"{mark}, {group.name}{also}: {_sentence(lead)}{'' if lead is mean else f'; mean {_values(mean)}'}"
     place = lead.place or first.place
     if mark == "worse" and place is not None:
-        yield f"  {_where(first.metric, place)}"
+        yield f"  {_where(place)}"
     if full:
         found = (finding for verdict in group.verdicts for finding in verdict.findings if finding.mark == mark)
         yield from (f"  {_sentence(finding)}" for finding in found)

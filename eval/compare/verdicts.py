@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
+from roadperc_stream.system.time import NS_PER_S
 
-from ..options import Rules
+from ..options import WORST_FRAMES, Rules
 from .bootstrap import Interval, mean_interval
 from .fields import Overlap
 from .metrics import COVERAGE_RELEVANT, LogValues, Metric, values_of
@@ -34,6 +35,8 @@ Mark = Literal["worse", "unchanged", "better"]
 Statistic = Literal["mean", "p95", "spread", "worst log", "worst frame", "beyond limit"]
 ROUNDING: Final = 1e-9
 """Ratio to a metric's size below which a difference is rounding, as on another processor."""
+APART_NS: Final = NS_PER_S
+"""Worst frames that are nearer in time show the same moment."""
 FEWEST: Final = 2
 JUMP: Final = 10.0
 LONE_JUMP: Final = 50.0
@@ -44,8 +47,9 @@ _TAIL: Final = 0.95
 
 @dataclass(frozen=True)
 class Place:
-    """The frame in which the new run is worse by most: its number in the new run's table, and both values."""
+    """A frame in which the new run is worse by a metric: its number in the new run's table, and both values."""
 
+    metric: Metric
     pair: RunPair
     frame: int
     stamp_ns: int
@@ -87,8 +91,13 @@ class Verdict:
     mark: Mark
     judged: bool
     findings: tuple[MarkedStatistic, ...] = ()
-    place: Place | None = None
+    places: tuple[Place, ...] = ()
     relevant: float = 0.0
+
+    @property
+    def place(self) -> Place | None:
+        """The worst frame of all logs; ``places`` has the first ones at different moments."""
+        return next(iter(self.places), None)
 
     @property
     def difference(self) -> float:
@@ -133,24 +142,29 @@ def _judge(logs: Sequence[LogValues], rules: Rules, tests: int) -> Verdict:
     if metric.timed:
         interval = Interval(*(base * float(np.expm1(bound)) for bound in (interval.low, interval.high)))
     mark = _mean_mark(metric, new - base, interval, allowed)
-    places = [place for log in logs if (place := worst_place(log))]
-    worst = max(places, key=lambda at: metric.sign * (at.new - at.base), default=None)
+    places = sorted((p for log in logs for p in worst_places(log)), key=lambda at: metric.sign * (at.base - at.new))
+    worst = next(iter(places), None)
     mean = MarkedStatistic(metric, "mean", base, new, interval, mark, worst)
     tails = tuple(tail_findings(logs, allowed, rules.limits.get(metric.name, metric.limit), tests, worst))
     worse = any(finding.mark == "worse" for finding in tails)
     judged = not metric.timed or rules.times or rules.names(metric.name)
     frames = sum(log.base.size for log in logs)
     whole: Mark = "worse" if worse else mark
-    return Verdict(metric, frames, base, new, interval, whole, judged, (mean, *tails), worst, allowed)
+    return Verdict(
+        metric, frames, base, new, interval, whole, judged, (mean, *tails), tuple(places[:WORST_FRAMES]), allowed
+    )
 
 
-def worst_place(log: LogValues) -> Place | None:
-    """The frame in which the new run is worse by most; None if no frame is worse, or its number is unknown."""
-    at = int(log.rises.argmax())
-    if log.rises[at] <= 0 or log.frames[at] < 0:
-        return None
-    base, new = (log.metric.shown(float(side[at])) for side in log.judged)
-    return Place(log.pair, int(log.frames[at]), int(log.stamps_ns[at]), base, new)
+def worst_places(log: LogValues) -> Iterator[Place]:
+    """The frames in which the new run is worse by most, ``APART_NS`` apart; none if their numbers are unknown."""
+    rises, judged = log.rises.copy(), log.judged
+    for _ in range(WORST_FRAMES):
+        at = int(rises.argmax())
+        if rises[at] <= 0 or log.frames[at] < 0:
+            return
+        base, new = (log.metric.shown(float(side[at])) for side in judged)
+        yield Place(log.metric, log.pair, int(log.frames[at]), int(log.stamps_ns[at]), base, new)
+        rises[np.abs(log.stamps_ns - log.stamps_ns[at]) < APART_NS] = 0.0
 
 
 def _interval(metric: Metric, differences: Sequence[Float], tests: int) -> Interval:
@@ -228,7 +242,7 @@ def _worst_log(logs: Sequence[LogValues], relevant: float, tests: int) -> Marked
     elif worse:
         interval = mean_interval([worst.differences], tests * len(logs))
         worse = interval.low > 0 or interval.high < 0
-    place, name = worst_place(worst), worst.pair.name
+    place, name = next(worst_places(worst), None), worst.pair.name
     return MarkedStatistic(metric, "worst log", base, new, interval, _mark(worse), place, name)
 
 

@@ -162,7 +162,7 @@ class Lead:
 
 def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead | None:
     """The frame in which the new run is worse by most, in both runs; else the first of the ranking."""
-    place = compared.worst_place if compared else None
+    place = next(iter(compared.worst_places), None) if compared else None
     if not ranked and not place:
         return None
     if compared and place:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import cv2
 import polars as pl
@@ -30,6 +30,7 @@ OVER_TIME: Final = 48
 """Pictures at even distances in time, over all runs."""
 WIDTH_PX: Final = 480
 JPEG_QUALITY: Final = 70
+T = TypeVar("T")
 Key = tuple[str, int]
 """A run's name and a frame's number."""
 Command = Callable[[Run, int], str]
@@ -95,7 +96,9 @@ def _images(
         for table in run.tables:
             end = math.inf if table.end_frame is None else table.end_frame
             wanted = [frame for frame in frames if frame.run == run.name and table.first_frame <= frame.frame < end]
-            found, why = _of_log(wanted, asked, table) if wanted or len(run.tables) == 1 else ({}, "")
+            if not wanted and len(run.tables) > 1:
+                continue
+            found, why = drawn_from_log(wanted, asked, table, lambda seen: data_uri(draw_results(seen, WIDTH_PX)))
             images |= found
             notes += [f"{run.name}: {why}"] if why else []
     return images, notes
@@ -111,13 +114,15 @@ def log_of(table: Run) -> Path | None:
     return table.beside(".mcap") if moved else named
 
 
-def _of_log(frames: Sequence[WorstFrame], asked: Container[Key], table: Run) -> tuple[dict[Key, str], str]:
-    """Pictures of a table's frames, and a note on frames without a picture."""
+def drawn_from_log(
+    frames: Sequence[WorstFrame], asked: Container[Key], table: Run, draw: Callable[[PerceivedFrame], T]
+) -> tuple[dict[Key, T], str]:
+    """What ``draw`` makes of a table's frames from their log, and a note on ``asked`` frames without a picture."""
     log = log_of(table)
     if log is None or not log.is_file():
         name = log.name if log else "its log"
         return {}, f"{name} is not where the table says; no pictures of its frames."
-    images: dict[Key, str] = {}
+    images: dict[Key, T] = {}
     problems = Problems()
     try:
         summary = summarise(log)
@@ -126,7 +131,7 @@ def _of_log(frames: Sequence[WorstFrame], asked: Container[Key], table: Run) -> 
             again = f"{log.name} was replayed again with another configuration"
             return {}, f"{again}; no pictures of this run."
         for frame, seen in _seen(summary, frames, problems):
-            images[frame.run, frame.frame] = data_uri(draw_results(seen, WIDTH_PX))
+            images[frame.run, frame.frame] = draw(seen)
     except RoadpercError as error:
         return images, f"no more pictures: {str(error).replace(str(log), log.name)}"
     lacking = sum((frame.run, frame.frame) in asked and (frame.run, frame.frame) not in images for frame in frames)

@@ -132,7 +132,7 @@ def bars(found: Comparison) -> list[Bar]:
 
 def place_text(found: Comparison, place: Place) -> str:
     """The metric of the worst place, its log if there are several, and both values."""
-    metric = next(verdict.metric for verdict in found.named("worse") if verdict.place is place)
+    metric = place.metric
     where = f"{place.pair.name}, " if len(found.pairing.pairs) > 1 else ""
     return f"{where}frame {place.frame}: {metric.label} {arrow(place.base, place.new, metric.unit)}"
 

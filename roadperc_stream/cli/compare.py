@@ -23,6 +23,7 @@ example:
   roadperc-compare reference/ runs/ --update-reference     compare folders by log, then update reference/
   roadperc-compare dataset --base-config default --new-config lanes.hold_s=2    two configurations of a batch
   roadperc-compare reference/ runs/ --junit compare.xml --markdown "$GITHUB_STEP_SUMMARY"
+  roadperc-compare reference/ runs/ --markdown comment.md --pictures pictures    with the worst frames of both runs
 
 exit codes:
   0  no metric is worse than allowed; fields may differ
@@ -61,6 +62,7 @@ def _options(arguments: argparse.Namespace) -> "CompareOptions":
         (arguments.base_config, arguments.new_config),
         Rules(tuple(arguments.ignore), *amounts, arguments.times),
         arguments.criteria,
+        arguments.pictures,
         full=arguments.full,
         exact=arguments.exact,
         other_log=arguments.other_log,
@@ -111,7 +113,9 @@ def _parser() -> argparse.ArgumentParser:
         ),
     ):
         add(parser, option, action="store_true", help=text)
-    add_result_files(parser)
+    results = add_result_files(parser)
+    pictures = "draw the three worst frames, base left and new right, into a folder; the Markdown shows them"
+    add(results, "--pictures", metavar="DIR", type=Path, help=pictures)
     return parser
 
 

@@ -126,9 +126,11 @@ def add_about_log(parser: argparse.ArgumentParser) -> None:
     add_shared(parser.add_argument_group("instead of what the log says"), *ABOUT_LOG)
 
 
-def add_result_files(parser: argparse.ArgumentParser) -> None:
+def add_result_files(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add ``RESULT_FILES`` as a group."""
-    add_shared(parser.add_argument_group("results for other programs"), *RESULT_FILES)
+    group = parser.add_argument_group("results for other programs")
+    add_shared(group, *RESULT_FILES)
+    return group
 
 
 def add_serving(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:

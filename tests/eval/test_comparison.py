@@ -15,7 +15,7 @@ from roadperc_stream.eval.compare.comparison import compare_runs
 from roadperc_stream.eval.compare.fields import INCOMPARABLE, Agreement, Difference, added, distance
 from roadperc_stream.eval.compare.metrics import METRICS, LogValues
 from roadperc_stream.eval.compare.pairing import RunPair, logged_runs, pair_runs
-from roadperc_stream.eval.compare.verdicts import tail_findings, worst_place
+from roadperc_stream.eval.compare.verdicts import tail_findings, worst_places
 from roadperc_stream.eval.options import Amount, Rules
 from tests.eval.tables import row, run_of, write
 
@@ -164,7 +164,9 @@ def worse_tails(pair, name, base, new):
     numbers = np.arange(100) + 7
     metric = METRIC[name]
     logs = [LogValues(metric, pair, numbers, numbers, *one) for one in zip(base, new, strict=True)]
-    place = max((found for log in logs if (found := worst_place(log))), key=lambda at: at.new, default=None)
+    place = max(
+        (found for log in logs if (found := next(worst_places(log), None))), key=lambda at: at.new, default=None
+    )
     found = tail_findings(logs, metric.relevant, metric.limit, 10, place)
     return {one.statistic: one for one in found if one.mark == "worse"}
 
@@ -244,7 +246,7 @@ def test_one_loss_is_one_group_with_its_frame(tmp_path):
     found = compared(tmp_path, **columns)
     (group,) = found.groups("worse")
     assert {verdict.metric.name for verdict in group.verdicts} == {f"{name}.coverage" for name in columns}
-    assert (found.worst_place.frame, found.worst_place.base, found.worst_place.new) == (100, 1.0, 0.0)
+    assert (found.worst_places[0].frame, found.worst_places[0].base, found.worst_places[0].new) == (100, 1.0, 0.0)
 
 
 @pytest.mark.parametrize(("judged", "factor", "worse"), [(True, 1.2, True), (True, 1.05, False), (False, 1.2, False)])

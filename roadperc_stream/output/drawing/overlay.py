@@ -150,8 +150,13 @@ def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: floa
 
     The picture has ``width_px`` columns; ``since_start_s`` are the seconds since the first frame.
     """
+    return draw_captioned(frame, (*frame_phrases(metrics, frame.objects, since_start_s), *LEGEND), width_px)
+
+
+def draw_captioned(frame: PerceivedFrame, phrases: Sequence[Phrase], width_px: int) -> Image:
+    """``draw_results`` with a strip of phrases at the top."""
     canvas = Canvas.resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
-    strip = lines_of((*frame_phrases(metrics, frame.objects, since_start_s), *LEGEND), canvas)
+    strip = lines_of(phrases, canvas)
     _draw_into(canvas, frame, len(strip) * canvas.row_px)
     draw_strip(canvas.unscaled(), strip)
     return canvas.pixels
