@@ -12,8 +12,22 @@ from roadperc_stream.geometry import Float
 from ..report.full_tables import better
 from ..report_columns import ERRORS
 from ..trajectory.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
-from .figures import BUCKETS, TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers, thinned
+from .figures import (
+    BUCKETS,
+    TRUTH_COLOUR,
+    Figure,
+    Series,
+    Trace,
+    axis,
+    colour_of,
+    hidden_below,
+    layout,
+    line,
+    numbers,
+    thinned,
+)
 
+_WIDTH: Final = 1.6
 _SHARES: Final = np.linspace(0, 1, 201)
 ERROR_COLUMNS: Final = tuple(quantity.column for quantity in ERRORS)
 """Columns of the distributions."""
@@ -29,7 +43,13 @@ def distributions(runs: Sequence[Series]) -> Iterator[Figure]:
     """The cumulative distribution of each error that has values, the runs over each other."""
     for quantity in ERRORS:
         traces = [
-            line(run.name, np.nanquantile(run.values[quantity.column], _SHARES), 100 * _SHARES, colour_of(place))
+            line(
+                run.name,
+                np.nanquantile(run.values[quantity.column], _SHARES),
+                100 * _SHARES,
+                colour_of(place),
+                width=_WIDTH + hidden_below(runs, place, quantity.column),
+            )
             for place, run in enumerate(runs)
             if quantity.column in run.values
         ]

@@ -24,6 +24,7 @@ COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b
 TRUTH_COLOUR: Final = "#111827"
 """The page's script replaces it on a dark page."""
 _DIGITS: Final = 6
+_WIDER: Final = 3.0
 Trace = dict[str, Any]
 Layout = dict[str, Any]
 _TIME: Final = "since_start_s"
@@ -137,6 +138,13 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
     whole = (table[name].to_numpy() for name in (SEGMENT, _TIME))
     segments, times_s = (np.insert(column, begins, column[begins - 1]) for column in whole)
     return Series(run.name, segments, times_s, filled)
+
+
+def hidden_below(runs: Sequence[Series], place: int, column: str) -> float:
+    """Additional width of a run's curve if later runs draw equal ones over it, so that all colours are visible."""
+    values = runs[place].values[column]
+    later = (run.values[column] for run in runs[place + 1 :] if column in run.values)
+    return _WIDER * sum(np.array_equal(values, other, equal_nan=True) for other in later)
 
 
 def thinned(values: Float, buckets: int = BUCKETS) -> Indices:

@@ -9,7 +9,7 @@ import numpy as np
 from roadperc_stream.geometry import Float
 
 from ..report_columns import REST, SIDES, STAGE_TIMES, TOTAL
-from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned
+from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, hidden_below, layout, line, thinned
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ COLUMNS: Final = (*(kind.column for chart in CHARTS for kind in chart.kinds), *S
 def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
     """The charts with values; all runs share each chart."""
     for chart in CHARTS:
-        traces = [trace for place, run in enumerate(runs) for trace in _traces(chart, run, place, len(runs) > 1)]
+        traces = [trace for place in range(len(runs)) for trace in _traces(chart, runs, place)]
         if traces:
             look = layout(TIME_TITLE, chart.unit, showlegend=len(traces) > 1)
             if chart.highest is not None:
@@ -101,12 +101,13 @@ def over_time(runs: Sequence[Series]) -> Iterator[Figure]:
             yield Figure(chart.title, _note(chart, len(runs)), traces, look)
 
 
-def _traces(chart: TimeChart, run: Series, place: int, several: bool) -> Iterator[Trace]:
+def _traces(chart: TimeChart, runs: Sequence[Series], place: int) -> Iterator[Trace]:
     """A line for each kind; with several runs the colour shows the run, the dash the kind; one legend entry per run."""
+    run, several = runs[place], len(runs) > 1
     present = [kind for kind in chart.kinds if kind.column in run.values]
     keyed = next((kind for kind in present if kind.dash == "solid"), present[0] if present else None)
     for kind in present:
-        more: dict[str, Any] = {"width": kind.width, "dash": kind.dash}
+        more: dict[str, Any] = {"width": kind.width + hidden_below(runs, place, kind.column), "dash": kind.dash}
         if several:
             more |= {"legendgroup": f"run {place}", "showlegend": kind is keyed, "hovertemplate": f"%{{y}} {kind.name}"}
         at = chart.kinds.index(kind)

@@ -115,7 +115,7 @@ def _page(runs: Sequence[Run], command: Command) -> str:
     except TableError as error:
         verdicts = [("unchanged", f"No comparison: {error}")]
     ranked = ranked_frames(together, WORST)
-    lead = _lead(compared, ranked, drawn, command)
+    lead = _lead(compared, ranked, drawn, command) or _middle(drawn[0], command)
     shown = [*(item.frame for item in ranked), *(lead.frames if lead else ())]
     pictures = gallery(shown, drawn, command)
     driven = [paths(run) for run in series]
@@ -158,6 +158,16 @@ class Lead:
     text: str
     frames: tuple[WorstFrame, ...]
     command: str
+    is_worst: bool = True
+
+
+def _middle(run: Run, command: Command) -> Lead | None:
+    """The frame in the middle of a log in which no frame is bad or judged; None if the log has no image of it."""
+    found = frames_of(run, pl.int_range(pl.len()) == pl.len() // 2)
+    pictures = gallery(found, [run], command).pictures if found else {}
+    is_there = any(picture.image for key, picture in pictures.items() if key == (run.name, found[0].frame))
+    text = f"frame {found[0].frame}, in the middle of the log" if found else ""
+    return Lead(text, tuple(found), command(run, found[0].frame), is_worst=False) if is_there else None
 
 
 def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead | None:

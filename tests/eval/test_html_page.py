@@ -187,6 +187,16 @@ def test_each_worst_frame_has_one_picture(tmp_path, moved):
     assert "in.mcap" in captions
 
 
+def test_a_page_without_truth_shows_the_middle_of_the_log_at_once(tmp_path):
+    log = write_log(tmp_path / "out.mcap")
+    page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP - STEP_NS, STAMP]))
+    words = " ".join(page.text.split())
+    assert "No verdict" in words
+    assert "frame 1, in the middle of the log" in words
+    assert "Worst" not in words
+    assert len(page.images) >= 1
+
+
 def test_a_picture_lacks_unreadable_results_and_a_note_says_so(tmp_path):
     log = write_log(tmp_path / "out.mcap", objects=b"\xff\xfe")
     page, _ = report(tmp_path, with_log(tmp_path / "out.metrics.parquet", log, [STAMP], stereo_epe_px=0.5))

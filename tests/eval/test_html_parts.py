@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.eval.html.charts import distributions, paths, trajectory
-from roadperc_stream.eval.html.figures import Series, line, numbers, thinned
+from roadperc_stream.eval.html.figures import Series, hidden_below, line, numbers, thinned
 from roadperc_stream.eval.html.known_plots import poses_over_time
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
@@ -201,3 +201,15 @@ def test_pictures_of_a_looped_log_come_from_the_right_segment(tmp_path):
     decoded = [np.frombuffer(base64.b64decode(p.image.partition(",")[2]), np.uint8) for p in found.pictures.values()]
     shades = [int(np.median(cv2.imdecode(data, cv2.IMREAD_COLOR))) for data in decoded]
     assert shades == [pytest.approx(40, abs=3), pytest.approx(200, abs=3)]
+
+
+def test_a_curve_below_equal_ones_is_wider_so_that_every_run_is_visible():
+    values = [np.array([1.0, np.nan, 2.0]), np.array([1.0, np.nan, 2.0]), np.array([1.0, 0.0, 2.0])]
+    runs = [
+        Series(name, np.zeros(3, int), np.arange(3.0), {"lane_left_offset_m": y})
+        for name, y in zip("abc", values, strict=True)
+    ]
+    first, second, third = (hidden_below(runs, place, "lane_left_offset_m") for place in range(3))
+    assert first > second == third == 0
+    widths = [trace["line"]["width"] for figure in over_time(runs) for trace in figure.traces]
+    assert widths[0] > widths[1] == widths[2]

@@ -25,6 +25,8 @@ _SHADE: Final = 0.7
 _GAP_CHARACTERS: Final = 0.6
 """Gap between two phrases, in heights of the text."""
 _SYMBOL_DASHES: Final = 4.0
+_MOST_COVERED: Final = 0.15
+"""Share of the image that numbers and legend may cover; a small image has no legend."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def _draw_tie(canvas: Canvas, item: Object, box: Box, place: Box) -> None:
 
 
 def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: float, width_px: int) -> Image:
-    """``draw_results`` with a strip of the frame's numbers at the top.
+    """``draw_results`` with a strip of the frame's numbers and the legend at the top.
 
     The picture has ``width_px`` columns; ``since_start_s`` are the seconds since the first frame.
     """
@@ -154,9 +156,11 @@ def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: floa
 
 
 def draw_captioned(frame: PerceivedFrame, phrases: Sequence[Phrase], width_px: int) -> Image:
-    """``draw_results`` with a strip of phrases at the top."""
+    """``draw_results`` with a strip of phrases at the top; the legend is left out if the image has no space for it."""
     canvas = Canvas.resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
     strip = lines_of(phrases, canvas)
+    if len(strip) * canvas.row_px > _MOST_COVERED * canvas.size[1]:
+        strip = lines_of((phrase for phrase in phrases if phrase not in LEGEND), canvas)
     _draw_into(canvas, frame, len(strip) * canvas.row_px)
     draw_strip(canvas.unscaled(), strip)
     return canvas.pixels

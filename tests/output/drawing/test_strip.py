@@ -9,7 +9,14 @@ from roadperc_stream.model import Absent, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Canvas
 from roadperc_stream.output.drawing.colours import bgr
-from roadperc_stream.output.drawing.overlay import LEGEND, draw_strip, frame_phrases, lines_of
+from roadperc_stream.output.drawing.overlay import (
+    LEGEND,
+    PerceivedFrame,
+    draw_frame,
+    draw_strip,
+    frame_phrases,
+    lines_of,
+)
 from roadperc_stream.schemas.columns import FrameMetrics
 from tests.analytic import box
 
@@ -110,3 +117,14 @@ def test_the_strip_covers_the_top_rows_and_cuts_no_text(rows, columns):
 def test_the_strip_fits_into_tiny_images(rows, columns):
     canvas = Canvas(np.zeros((rows, columns, 3), np.uint8))
     draw_strip(canvas, lines_of((*frame_phrases(FULL, Objects((CAR, FAR_CAR)), 0.0), *LEGEND), canvas))
+
+
+def test_a_small_image_has_no_legend_which_would_cover_the_road():
+    """The numbers are always there."""
+    shaded = {}
+    for rows, columns in ((270, 360), (960, 1280)):
+        frame = PerceivedFrame(np.full((rows, columns, 3), 255, np.uint8), *[Absent(Reason("lanes", "not_run"))] * 3)
+        drawn = draw_frame(frame, FULL, 0.35, columns)
+        shaded[rows] = int((drawn.min(axis=(1, 2)) < 255).sum()) / rows
+    assert 0 < shaded[270] <= 0.15
+    assert 0 < shaded[960] <= 0.15
