@@ -13,7 +13,7 @@ from roadperc_stream import log
 from roadperc_stream.cli import convert
 from roadperc_stream.cli.replay import main as replay_main
 from tests import course
-from tests.test_docs import ROOT, TEXTS, shorten
+from tests.test_docs import OPENS_VIEWER, PYTHON, ROOT, TEXTS, run, shorten
 
 PAGE = TEXTS["course.md"]
 TITLED = dict(re.findall(r'^```\w+ title="(\S+)"\n(.*?)^```$', PAGE, re.DOTALL | re.MULTILINE))
@@ -154,3 +154,21 @@ def test_the_published_obstacle(folder, data_dir, swapped, nearest_m):
     assert (found["label"], found["x_min_px"], found["y_min_px"]) == ("template", 547, 479)
     assert found["distance_m"] == pytest.approx(nearest_m, abs=1e-4)
     assert f"--template {course.TEMPLATE}" in PAGE
+
+
+@pytest.mark.long
+def test_a_student_gets_through_the_page(tmp_path):
+    """All commands in their order, with the files of the page saved when they come."""
+    (tmp_path / "logs").mkdir()
+    shutil.copy(ROOT / "logs" / "sample.mcap", tmp_path / "logs")
+    shorten(tmp_path / "logs" / "sample.mcap", 0.3)
+    for language, title, text in re.findall(
+        r'^```(\w+)(?: title="(\S+)")?\n(.*?)^```$', PAGE, re.DOTALL | re.MULTILINE
+    ):
+        if title:
+            (tmp_path / title).parent.mkdir(exist_ok=True)
+            (tmp_path / title).write_text(text, encoding="utf-8")
+        if title in ("point.py", "boxes.py"):
+            assert run(f"{PYTHON} {title}", tmp_path)
+        for line in text.splitlines() if language == "sh" else ():
+            run(f"{line} --save viewed.rrd" if OPENS_VIEWER.match(line) else line, tmp_path)

@@ -23,7 +23,7 @@ TEXTS = {
     path.name: path.read_text(encoding="utf-8")
     for path in (*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *ROOT.glob("docs/*.md"))
 }
-RUN = ("README", "viewing", "recordings", "chain", "own_stage", "course", "degrade", "evaluation")
+RUN = ("README", "viewing", "recordings", "chain", "own_stage", "degrade", "evaluation")
 """Pages whose commands run, in the order in which a reader meets them."""
 FENCE = re.compile(r'^```(sh|python)(?: title="(\S+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
 EXAMPLES = [text for *_, text in FENCE.findall(TEXTS["python.md"])]
