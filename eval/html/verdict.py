@@ -63,7 +63,7 @@ def single_sentence(summary: Summary) -> tuple[Mark, str]:
 
 
 def ranked_frames(groups: Sequence[Summary], most: int) -> list[Ranked]:
-    """The worst frames across metrics, each once, by their size in relevant effects; only those above one.
+    """The worst frames across metrics, at different moments, by their size in relevant effects; only those above one.
 
     The first one is that of the report, the largest multiple of a limit, if a stage has one.
     """
@@ -76,10 +76,11 @@ def ranked_frames(groups: Sequence[Summary], most: int) -> list[Ranked]:
     judged = judged_stages(groups)
     worst = worst_of(figure for group in groups for figure in stage_figures(group, judged))
     leading = [Ranked(worst.at, worst.quantity, size(worst.at.value, worst.quantity))] if worst and worst.at else []
-    largest: dict[tuple[str, int], Ranked] = {}
+    largest: list[Ranked] = []
     for item in (*leading, *sorted((item for item in found if item.size > 1), key=lambda item: -item.size)):
-        largest.setdefault((item.frame.run, item.frame.frame), item)
-    return list(largest.values())[:most]
+        if not any(item.frame.is_beside(other.frame) for other in largest):
+            largest.append(item)
+    return largest[:most]
 
 
 def size(value: float, quantity: Quantity) -> float:

@@ -16,6 +16,7 @@ from roadperc_stream.model import ReasonKind, reason_of
 from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.text import number
+from roadperc_stream.system.time import NS_PER_S
 
 from ..lanes.precision_recall import Score, scores
 from ..report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, STATES, TRACED, Quantity
@@ -29,6 +30,8 @@ ALL: Final = frozenset(quantity.column for quantity in NUMBERS)
 BETWEEN: Final = "\t"
 """Separates a true text from its estimate."""
 _GROUP: Final = "group"
+_CANDIDATES: Final = 100
+"""Frames that are searched for each different moment among the worst ones."""
 _THREADS: Final = 2
 """Columns that are summarised at the same time; each needs memory for several copies."""
 ByColumn = Callable[[str, Float], object]
@@ -54,6 +57,11 @@ class WorstFrame:
     since_start_s: float
     stamp_ns: int
     value: float
+
+    def is_beside(self, other: "WorstFrame") -> bool:
+        """Whether both show the same moment: less than a second apart in one segment of a log."""
+        same = (self.run, self.config, self.segment) == (other.run, other.config, other.segment)
+        return same and abs(self.stamp_ns - other.stamp_ns) < NS_PER_S
 
 
 @dataclass(frozen=True)
@@ -208,19 +216,26 @@ def summarise(
 def worst_frames(frames: Frames, quantity: Quantity, values: Float, at: Numbers, number: int) -> tuple[WorstFrame, ...]:
     """The worst of the frames ``at`` by their values, (N,) both, the worst first, then the earliest.
 
-    Frames with the best possible value are left out, and those whose value is not finite.
+    They are different moments: at least a second apart, or in other segments. Frames with the best possible value
+    are left out, and those whose value is not finite.
     """
     high = quantity.better == "high"
     badness = -values if high else np.abs(values)
     best = (-1.0 if quantity.unit == RATIO else -np.inf) if high else 0.0
     flawed = (badness > best) & (badness < np.inf)
-    if 0 < number < np.count_nonzero(flawed):
-        flawed &= badness >= np.partition(badness[flawed], -number)[-number]
+    candidates = number if number == 1 else _CANDIDATES * number
+    if candidates < np.count_nonzero(flawed):
+        flawed &= badness >= np.partition(badness[flawed], -candidates)[-candidates]
     at, values, badness = at[flawed], values[flawed], badness[flawed]
-    order = np.lexsort((frames.stamp_ns[at], frames.segment[at], -badness))[:number]
-    return tuple(
-        frame_at(frames, k, value) for k, value in zip(at[order].tolist(), values[order].tolist(), strict=True)
-    )
+    order = np.lexsort((frames.stamp_ns[at], frames.segment[at], -badness))[:candidates]
+    chosen: list[WorstFrame] = []
+    for k in order.tolist():
+        found = frame_at(frames, int(at[k]), float(values[k]))
+        if not any(map(found.is_beside, chosen)):
+            chosen.append(found)
+        if len(chosen) == number:
+            break
+    return tuple(chosen)
 
 
 def frame_at(frames: Frames, at: int, value: float = math.nan) -> WorstFrame:

@@ -17,6 +17,7 @@ from roadperc_stream.cli.report import main
 from roadperc_stream.config import load_config
 from roadperc_stream.eval.html.page import RUNS_DRAWN
 from roadperc_stream.output.tables import table_facts
+from roadperc_stream.system.time import NS_PER_S
 from tests.eval.dataset.datasets import small_dataset
 from tests.eval.tables import START_NS, STEP_NS, row, write
 from tests.eval.test_html_parts import STAMP, write_log
@@ -128,7 +129,7 @@ def test_two_runs_start_with_the_verdict_and_the_worst_frame_and_its_command(tmp
     logs = shlex.join(map(str, paths))
     assert re.search(rf"Worst frame \d+: stereo disparity.* {re.escape(logs)} --frame \d+", verdict)
     worst = words[words.index("Worst frames") :]
-    assert re.findall(r"(\d+)\. frame (\d+) at", worst) == [(str(k + 1), str(39 - k)) for k in range(10)]
+    assert re.findall(r"(\d+)\. frame (\d+) at", worst)[:2] == [("1", "39"), ("2", "19")]
 
 
 def test_a_dataset_gives_a_page_and_pages_of_its_bad_logs(tmp_path, capsys):
@@ -173,10 +174,9 @@ def test_an_hour_at_20_hz_stays_below_ten_megabytes(tmp_path):
 
 @pytest.mark.parametrize("moved", ["", "/gone/out.mcap"])
 def test_each_worst_frame_has_one_picture(tmp_path, moved):
-    log = write_log(tmp_path / "out.mcap")
-    table = with_log(
-        tmp_path / "out.metrics.parquet", moved or log, [STAMP, STAMP + STEP_NS], stereo_epe_px=0.5, turn_error_deg=1.0
-    )
+    log = write_log(tmp_path / "out.mcap", apart_ns=NS_PER_S)
+    stamps = [STAMP, STAMP + NS_PER_S]
+    table = with_log(tmp_path / "out.metrics.parquet", moved or log, stamps, stereo_epe_px=0.5, turn_error_deg=1.0)
     page, _ = report(tmp_path, table)
     assert len(page.images) == 3  # the worst frame is also at the top
     assert all(image.startswith("data:image/jpeg;base64,/9j/") for image in page.images)

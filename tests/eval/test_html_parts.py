@@ -130,14 +130,14 @@ OBJECTS = Objects(
 )
 
 
-def write_log(path, late_ns=0, image=True, objects=None):
-    """Two frames 50 ms apart; only the first has results; log times are ``late_ns`` after the stamps."""
+def write_log(path, late_ns=0, image=True, objects=None, apart_ns=50_000_000):
+    """Two frames ``apart_ns`` apart; only the first has results; log times are ``late_ns`` after the stamps."""
     objects = encoding.encode_objects(STAMP, "camera", OBJECTS) if objects is None else objects
     grey = cv2.imencode(".png", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
     mask = np.zeros((48, 64), np.uint8)
     mask[40:] = 1
     drivable = encoding.encode_image(STAMP, "camera", "png", images.encode_indices(mask, ((0, 0, 0), (0, 200, 80))))
-    stamps = (STAMP, STAMP + 50_000_000)
+    stamps = (STAMP, STAMP + apart_ns)
     with LogWriter(path) as writer:
         for number, stamp in enumerate(stamps):
             content = encoding.encode_image(stamp, "camera", "png", grey)

@@ -12,6 +12,9 @@ from roadperc_stream.eval.runs import find_runs
 from tests.eval import tables
 from tests.eval.tables import START_NS, STEP_NS, row, run_of, write
 
+SECOND = round(1e9 / STEP_NS)
+"""Frames of a second."""
+
 
 def summary_of(tmp_path, rows):
     return tables.summary_of(run_of(write(tmp_path / "drive.metrics.parquet", rows)))
@@ -64,18 +67,25 @@ def test_a_lane_change_is_not_jitter(tmp_path):
 
 def test_worst_frames_by_absolute_value_the_earliest_of_equals_first(tmp_path):
     errors = [0.1, -0.9, None, 0.5, -0.5]
-    found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in enumerate(errors)])
+    found = summary_of(tmp_path, [row(SECOND * k, lane_left_error_m=error) for k, error in enumerate(errors)])
     worst = found.worst["lane_left_error_m"]
-    assert [(frame.frame, frame.value) for frame in worst] == [(1, -0.9), (3, 0.5), (4, -0.5)]
-    assert worst[1].since_start_s == pytest.approx(0.15)
-    assert worst[1].stamp_ns == START_NS + 3 * STEP_NS
+    ranked = [(SECOND, -0.9), (3 * SECOND, 0.5), (4 * SECOND, -0.5), (0, 0.1)]
+    assert [(frame.frame, frame.value) for frame in worst] == ranked[: len(worst)]
+    assert worst[1].since_start_s == pytest.approx(3.0)
+    assert worst[1].stamp_ns == START_NS + 3 * SECOND * STEP_NS
+
+
+def test_worst_frames_are_different_moments(tmp_path):
+    errors = {0: 0.5, SECOND - 1: 0.9, SECOND: 0.8, 2 * SECOND: 0.4}
+    found = summary_of(tmp_path, [row(k, lane_left_error_m=error) for k, error in errors.items()])
+    assert [frame.frame for frame in found.worst["lane_left_error_m"]] == [SECOND - 1, 2 * SECOND]
 
 
 def test_worst_frames_without_a_lane(tmp_path):
     states = [("measured", "measured"), ("lost", "held"), ("lost", "lost"), (None, None)]
-    rows = [row(k, lane_left_status=left, lane_right_status=right) for k, (left, right) in enumerate(states)]
+    rows = [row(SECOND * k, lane_left_status=left, lane_right_status=right) for k, (left, right) in enumerate(states)]
     worst = summary_of(tmp_path, rows).worst["lanes_lost"]
-    assert [(frame.frame, frame.value) for frame in worst] == [(2, 2.0), (1, 1.0)]
+    assert [(frame.frame, frame.value) for frame in worst] == [(2 * SECOND, 2.0), (SECOND, 1.0)]
 
 
 def test_damaged_data_behind_a_whole_footer(tmp_path):
