@@ -10,6 +10,7 @@ from roadperc_stream.geometry.cameras import Camera as Camera
 from roadperc_stream.geometry.cameras import Lens as Lens
 from roadperc_stream.geometry.cameras import baseline_of as baseline_of
 from roadperc_stream.geometry.cameras import decompose_projection as decompose_projection
+from roadperc_stream.geometry.cameras import inside_image as inside_image
 from roadperc_stream.geometry.cameras import pinhole_fault as pinhole_fault
 from roadperc_stream.geometry.cameras import project as project
 from roadperc_stream.geometry.cameras import rays as rays

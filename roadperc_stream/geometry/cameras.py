@@ -19,6 +19,8 @@ _FOCAL_LENGTHS: Final = (1e-3, 1e3)
 _FARTHEST_CENTRE: Final = 10.0
 """Largest distance of the principal point from the first pixel, in image widths or heights; images may be cropped."""
 _HALF_PIXEL: Final = 0.5
+_SAME_PX: Final = 1e-9
+"""Points that are nearer to each other are one point."""
 _FOCAL_DIGITS: Final = 9
 """Decimals of a focal length, so that 90 degrees give exactly w / 2."""
 
@@ -178,3 +180,21 @@ def rays(camera: Camera, pixels: Float) -> Float:
 def unproject(camera: Camera, pixels: Float, depth_m: NDArray[np.floating[Any]]) -> Float:
     """(..., 3) points in the camera frame of (..., 2) pixels with depth along z."""
     return rays(camera, pixels) * np.asarray(depth_m)[..., None]
+
+
+def inside_image(line_px: Float, camera: Camera) -> Float:
+    """(M, 2) part of an (N, 2) line inside the image, cut at its border; empty if none.
+
+    Y.-D. Liang, B. A. Barsky, A new concept and method for line clipping, 1984.
+    """
+    start, step = line_px[:-1], np.diff(line_px, axis=0)
+    low, high = np.full(2, -_HALF_PIXEL), np.array((camera.width, camera.height)) - _HALF_PIXEL
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossings = (low - start) / step, (high - start) / step
+    enters = np.fmin(*crossings).max(axis=1, initial=0.0)
+    leaves = np.fmax(*crossings).min(axis=1, initial=1.0)
+    ends = np.stack([start + at[:, None] * step for at in (enters, leaves)], axis=1)
+    inside: Float = ends[enters < leaves].reshape(-1, 2)
+    apart = np.abs(np.diff(inside, axis=0)).max(axis=1, initial=0.0) > _SAME_PX
+    line: Float = inside[np.append(True, apart)[: len(inside)]]
+    return line

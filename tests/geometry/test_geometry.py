@@ -106,3 +106,21 @@ def test_baseline_is_the_distance_of_the_centres():
 def test_an_invalid_projection_matrix_raises(P):
     with pytest.raises(ValueError, match="projection matrix"):
         g.decompose_projection(P)
+
+
+@pytest.mark.parametrize(
+    ("line", "inside"),
+    [
+        ([(10, 10), (20, 20)], [(10, 10), (20, 20)]),
+        ([(-10.5, 30), (9.5, 10), (10, 5)], [(-0.5, 20), (9.5, 10), (10, 5)]),
+        ([(10, 60), (10, 40), (10, 20)], [(10, 47.5), (10, 40), (10, 20)]),
+        ([(-10, 30), (100, 30)], [(-0.5, 30), (63.5, 30)]),
+        ([(-10, 30), (-5, 10)], []),
+        ([(10, 10)], []),
+        ([], []),
+    ],
+)
+def test_a_line_is_cut_at_the_border_of_the_image(line, inside):
+    camera = g.Camera("camera", width=64, height=48, fx=50, fy=50, cx=31.5, cy=23.5)
+    found = g.inside_image(np.reshape(line, (-1, 2)).astype(float), camera)
+    np.testing.assert_allclose(found, np.reshape(inside, (-1, 2)))

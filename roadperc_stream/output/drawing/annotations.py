@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from numpy.typing import NDArray
 
-from roadperc_stream.geometry import Camera, Float, rays, transform
+from roadperc_stream.geometry import Camera, Float, inside_image, rays, transform
 from roadperc_stream.geometry.ground import ground_points, height_at
 from roadperc_stream.geometry.rotations import quaternion
 from roadperc_stream.model import EGO, Box, Lanes, Mask, Object, Objects, Surface
@@ -49,16 +49,17 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
         _points(message, PointsAnnotation.LINE_LIST, proposals, colours.PROPOSED_LINE, 0.5, _FAINT)
     for boundary in lanes.boundaries:
         if boundary.raw_px is not None:
-            raw = np.array(boundary.raw_px).reshape(2, 2)
-            _points(message, PointsAnnotation.LINE_STRIP, raw, colours.RAW_LINE, 1.0)
-        if len(boundary.line_px):
+            raw_px = inside_image(np.reshape(boundary.raw_px, (2, 2)), camera)
+            if len(raw_px):
+                _points(message, PointsAnnotation.LINE_STRIP, raw_px, colours.RAW_LINE, 1.0)
+        line_px = inside_image(boundary.line_px, camera)
+        if len(line_px):
             colour = colours.BOUNDARY[boundary.status]
-            _points(message, PointsAnnotation.LINE_STRIP, boundary.line_px, colour, 4.0)
+            _points(message, PointsAnnotation.LINE_STRIP, line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
-            x, y = boundary.line_px.T
-            visible = boundary.line_px[(x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)]
-            if len(visible):
-                _text(message, camera, visible[0], text, colour)
+            named = line_px[line_px[:, 0] < _TEXT_UP_TO * camera.width]
+            if len(named):
+                _text(message, camera, named[0], text, colour)
     return message.SerializeToString()
 
 

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.geometry import Camera, Float, inside_image
 from roadperc_stream.model import EGO, Boundary, Box, Detection, Lanes, Object, Objects
 from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output.drawing import colours
@@ -130,8 +130,6 @@ def _in_space(
 _HALF_PIXEL = 0.5
 _SMOOTHED_PX, _RAW_PX, _PROPOSAL_PX = 2.0, 1.0, 0.5
 _ON_THE_ROAD_M, _TRUE_M = 0.09, 0.03
-_PARTS = 20
-"""Pieces of a metre of line, to cut the line at the image's edge."""
 
 
 def lanes(entity: str, role: str, payload: Lanes, state: SceneState) -> Iterator[Entry]:
@@ -160,22 +158,16 @@ def _on_the_image(entity: str, payload: Lanes, role: str, state: SceneState) -> 
         show_labels=False,
         draw_order=30.0,
     )
-    raw = np.array([b.raw_px for b in payload.boundaries if b.raw_px is not None]).reshape(-1, 4)
+    raw_px = [_inside(np.reshape(b.raw_px, (2, 2)), camera) for b in payload.boundaries if b.raw_px is not None]
+    raw = np.array([line for line in raw_px if len(line)]).reshape(-1, 4)
     yield Entry(f"{entity}/proposals", _segments(payload.proposals_px, "proposal", _PROPOSAL_PX, 10.0), frame)
     yield Entry(f"{entity}/raw", _segments(raw, "raw", _RAW_PX, 20.0), frame)
     yield Entry(f"{entity}/smoothed", smoothed, frame)
 
 
 def _inside(line_px: Float, camera: Camera | None) -> Float:
-    """The part of an (N, 2) line inside the image, because points outside would shift the view."""
-    if camera is None:
-        return line_px
-    places = np.arange(len(line_px))
-    fine = np.linspace(0, len(line_px) - 1, _PARTS * (len(line_px) - 1) + 1)
-    line = np.stack([np.interp(fine, places, column) for column in line_px.T], axis=-1)
-    corner = line + _HALF_PIXEL
-    shown = ((corner >= 0) & (corner < (camera.width, camera.height))).all(axis=1)
-    return np.asarray(line[shown], float)
+    """The part of a line inside the image, because points outside would shift the view."""
+    return line_px if camera is None else inside_image(line_px, camera)
 
 
 def _segments(lines_px: Float, line_class: str, radius: float, draw_order: float) -> rr.LineStrips2D:
