@@ -33,7 +33,7 @@ from roadperc_stream.system.progress import Progress, no_progress
 from roadperc_stream.system.text import listed, number
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import TimeRange, ns_to_seconds
-from roadperc_stream.view.pictures import channel_of_pictures
+from roadperc_stream.view.pictures import picture_channels
 
 from .runs import Run, collect, find_runs
 from .scan import rows_of
@@ -129,7 +129,7 @@ def shown(
     """
     kept = run if isinstance(run, Path) else kept_log(run)
     requests = {request for topic, request in ON_REQUEST.items() if topic == picture and request == "debug"}
-    if kept and not (requests and channel_of_pictures(log.summarise(kept), picture) is None):
+    if kept and not (requests and picture not in picture_channels(log.summarise(kept))):
         return FrameToShow(kept, frame)
     run = find_runs([str(run)])[0] if isinstance(run, Path) else run
     if frame is None:

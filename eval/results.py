@@ -17,7 +17,7 @@ from rich.console import Console
 from roadperc_stream.errors import TargetError
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import Table, markdown_text
-from roadperc_stream.system.files import completing, real_path, require_plain
+from roadperc_stream.system.files import completing, real_path
 from roadperc_stream.system.text import shown
 
 Outcome = Literal["passed", "failed", "skipped", "error"]
@@ -167,6 +167,5 @@ def _junit(suite: str, cases: Sequence[Case]) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    require_plain(path)
     with completing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

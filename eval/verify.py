@@ -4,7 +4,7 @@ The second part continues the first one, so a stage of the user's own gets its s
 is where half of the frames are complete: a frame is complete when no message within ``sync.max_wait_s`` can change it.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from heapq import merge
 from pathlib import Path
@@ -62,7 +62,7 @@ class _Parts:
 
     def messages(self) -> Iterator[Message]:
         """The messages of the whole log: of repeated frames the later version, of the input each one once."""
-        first, *second = (log.read(log.summarise(path)) for path in self.paths)
+        first, *second = map(_messages, self.paths)
         if not second:
             return first
         earlier = (m for m in first if (m.sequence < self.first_frame if is_result(m.channel) else self._before(m)))
@@ -143,7 +143,8 @@ def verify(
     first = _Replay(source, target, cfg, options, progress)
     with scratch_folder(target.path) as folder:
         parts = first.in_parts(folder)
-        count, difference = _different_message(target, parts)
+        again = (message for message in parts.messages() if not target.results_only or is_result(message.channel))
+        count, difference = _compared(target.path, _messages(target.path), parts.paths[-1], again)
         if difference is not None:
             raise RegressionError(_text(first, difference, _cause(first, parts, difference, folder)))
         for name in ("metrics", "objects"):
@@ -159,19 +160,16 @@ def _frames(path: Path) -> list[Message]:
     return list(log.read(log.summarise(path), topics=(METRICS_TOPIC,)))
 
 
-def _different_message(target: ReplayTarget, parts: _Parts) -> tuple[int, Difference | None]:
-    """The number of compared messages, and the first one that differs."""
-    again: Iterable[Message] = parts.messages()
-    if target.results_only:
-        again = (message for message in again if is_result(message.channel))
-    return _compared(target.path, log.read(log.summarise(target.path)), parts.paths[-1], again)
+def _messages(path: Path) -> Iterator[Message]:
+    return log.read(log.summarise(path))
 
 
 def _compared(
-    path: Path, messages: Iterable[Message], other: Path, again: Iterable[Message]
+    path: Path, messages: Iterator[Message], other: Path, again: Iterator[Message]
 ) -> tuple[int, Difference | None]:
+    """The number of compared messages, and the first one that differs."""
     count = 0
-    for ours, theirs in aligned(iter(messages), iter(again)):
+    for ours, theirs in aligned(messages, again):
         found = frame_agreements(ours, theirs, (path, other), "", _RULES)
         if differing := [agreement.first for agreement in found.values() if agreement.first]:
             return count, min(differing, key=lambda one: (one.frame, _order(one.place)))
@@ -208,15 +206,15 @@ def _cause(first: _Replay, parts: _Parts, difference: Difference, folder: Path) 
         return ""
     part = TimeRange(asked.start_s, asked.end_s, numbers.index(difference.frame) + 1)
     first.again(path, part, threads=first.options.threads)
-    both = (_up_to(difference.frame, log.read(log.summarise(one))) for one in (first.target.path, path))
-    if _compared(first.target.path, next(both), path, next(both))[1] is not None:
+    ours, theirs = (_up_to(difference.frame, _messages(one)) for one in (first.target.path, path))
+    if _compared(first.target.path, ours, path, theirs)[1] is not None:
         return "not deterministic: the same replay again differs too (time, random numbers, or global values?)"
     if parts.first_frame and difference.frame >= parts.first_frame:
         return f"depends on the cut before frame {parts.first_frame}: it keeps values of earlier frames outside State"
     return f"depends on the threads: {first.options.threads} and {first.other_threads} differ"
 
 
-def _up_to(frame: int, messages: Iterable[Message]) -> Iterator[Message]:
+def _up_to(frame: int, messages: Iterator[Message]) -> Iterator[Message]:
     """The results of the frames up to this one."""
     return (message for message in messages if is_result(message.channel) and message.sequence <= frame)
 

@@ -336,16 +336,14 @@ class Chain:
             frame = self.frame(
                 stamp_ns, image=image, depth_m=depth_m, tags=tags, detections=detections, right_image=right_image
             )
-        self._require_later(frame.stamp_ns)
+        if frame.stamp_ns == self._state.stamp_ns:
+            later = "pass a later one, or call reset() before"
+            raise ValueError(f"stamp_ns: {frame.stamp_ns} is also the last frame's; {later}")
         with one_thread():
             prepared = prepare(self._cfg, rectified_frame(frame), own=self._own)
             self._state, result = step(self._cfg, self._state, prepared, own=self._own)
         self.segment += any(problem.source == "time" for problem in result.problems)
         return result
-
-    def _require_later(self, stamp_ns: int) -> None:
-        if stamp_ns == self._state.stamp_ns:
-            raise ValueError(f"stamp_ns: {stamp_ns} is also the last frame's; pass a later one, or call reset() before")
 
 
 def read_metrics(run: str | Path | Sequence[str | Path]) -> pl.DataFrame:

@@ -14,7 +14,7 @@ from roadperc_stream.model.tag_tables import LABEL_CLASSES
 from roadperc_stream.schemas.columns import RATIO, FrameMetrics, columns_of
 from roadperc_stream.schemas.columns.hindsight import FrameHindsight
 
-from ..objects.figures import BANDS_S, RINGS_M, band_name, frame_values, parts_of, ring_name
+from ..objects.figures import BANDS_S, RINGS_M, frame_values, parts_of
 from ..report_columns import ERRORS, JITTERS, NUMBERS, OFFSETS, SEEN, SIDES, STAGE_TIMES, TRUTH_OF, Quantity
 from ..runs import Run, collect
 from ..scan import objects_of, scan
@@ -28,7 +28,6 @@ _SHORTEST_MS: Final = 0.1
 """Shorter times count as this time."""
 _FRAME: Final = "frame"
 CLASSES: Final = tuple(dict.fromkeys(first for first, *_ in LABEL_CLASSES.values()))
-RINGS: Final = tuple(map(ring_name, RINGS_M))
 _DISTANCE: Final = "object_distance_error_m"
 _JITTER: Final = "second_difference", "jitter"
 """Part of a derived column's name, and of its metric's."""
@@ -127,11 +126,11 @@ def _whole(name: str, group: str, relevant: float, unit: str = RATIO) -> Metric:
 OF_OBJECTS: Final = (
     *(
         _whole(name, "object detection", 0.01)
-        for name in ("objects_ap", *(f"objects_ap.{of}" for of in (*CLASSES, *RINGS)))
+        for name in ("objects_ap", *(f"objects_ap.{of}" for of in (*CLASSES, *filter(None, RINGS_M))))
     ),
     _whole("objects_ate_m", "object detection", 0.05, "m"),
     _whole("objects_ave_mps", "object detection", 0.1, "m/s"),
-    *(_whole(f"objects_recall.{band_name(band_s)}", "objects in the path", 0.01) for band_s in BANDS_S),
+    *(_whole(f"objects_recall.{band}", "objects in the path", 0.01) for band in BANDS_S),
     *(_whole(f"tracks_{name}", "object tracks", 0.01) for name in ("hota", "deta", "assa", "mota", "idf1")),
 )
 """The figures of ``eval/objects/``, which need all true objects."""

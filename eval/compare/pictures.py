@@ -5,16 +5,16 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Final
 
-import cv2
 import numpy as np
 import polars as pl
 
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.model import Image
 from roadperc_stream.output.drawing.overlay import LEGEND, PerceivedFrame, Phrase, draw_captioned
 from roadperc_stream.output.terminal import frame_progress
-from roadperc_stream.system.files import completing, require_plain, scratch_folder, target_errors
+from roadperc_stream.system.files import completing, scratch_folder, target_errors
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.view.result_frames import read_frame
 
@@ -94,7 +94,5 @@ def _write(path: Path, halves: list[Image | None]) -> None:
     for left_px, half in zip((0, _HALF_PX + _GAP_PX), halves, strict=True):
         if half is not None:
             whole[: half.shape[0], left_px : left_px + _HALF_PX] = half
-    _, encoded = cv2.imencode(".jpg", whole, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    require_plain(path)
     with completing(path) as temporary:
-        temporary.write_bytes(encoded.tobytes())
+        temporary.write_bytes(encode_jpeg(whole, _JPEG_QUALITY))

@@ -26,10 +26,10 @@ from ..runs import Run
 from .events import Clips, Event
 
 
-def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], clips: Clips) -> None:
+def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], clips: Clips, changed: Sequence[str]) -> None:
     """Write the ``clip`` of each event, with ``BEFORE_S`` before and ``AFTER_S`` after it, and print a summary.
 
-    ``runs`` has the run of each ``log_id`` and ``config``.
+    ``runs`` has the run of each ``log_id`` and ``config``; ``changed`` are settings KEY=VALUE for replays.
 
     Raises:
         LogError: some clips cannot be written; a line gives the reason of each.
@@ -38,7 +38,7 @@ def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], clips: Clip
     for event in events:
         try:
             run = runs[event.key].table_of(event.first_frame)
-            for note in _write(event, run, clips):
+            for note in _write(event, run, clips, changed):
                 print_line(f"note: {event.clip}: {note}")
         except RoadpercError as error:
             failed += 1
@@ -48,7 +48,7 @@ def write_clips(events: Sequence[Event], runs: Mapping[LogKey, Run], clips: Clip
         raise LogError(f"{clips.folder}: {failed} of {number(len(events), 'clip')} could not be written")
 
 
-def _write(event: Event, run: Run, clips: Clips) -> tuple[str, ...]:
+def _write(event: Event, run: Run, clips: Clips, changed: Sequence[str]) -> tuple[str, ...]:
     """Write a clip; returns notes on values that differ from the recorded ones."""
     target = ReplayTarget(Path(event.clip or ""), force=clips.force)
     kept = kept_log(run)
@@ -59,7 +59,7 @@ def _write(event: Event, run: Run, clips: Clips) -> tuple[str, ...]:
             return ()
         part = Part(event.peak_frame, (event.first_ns, event.last_ns), target)
         with frame_progress("clip", enabled=True) as progress:
-            return replayed(run, part, parse_topic_options(clips.topics), clips.changed, folder, progress).notes
+            return replayed(run, part, parse_topic_options(clips.topics), changed, folder, progress).notes
 
 
 def _cut(source: Path, event: Event, target: Path, cfg: ReplayConfig) -> None:

@@ -63,20 +63,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Clips:
-    """Where excerpts go, and how to replay a log that was not kept: ``topics`` ROLE=/TOPIC, ``changed`` KEY=VALUE."""
+    """Where excerpts go, and ``topics`` ROLE=/TOPIC for a log that was not kept and is replayed."""
 
     folder: Path
     topics: Sequence[str] = ()
-    changed: Sequence[str] = ()
     force: bool = False
-
-
-@dataclass(frozen=True)
-class EventPage:
-    """The page of events, and the settings KEY=VALUE to change in a log that was not kept and is replayed."""
-
-    path: Path
-    changed: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from ..frames import runs_of_keys
 from ..results import ResultFiles, Results
 from ..runs import Run
 from ..scan import objects_of, rows_of
-from .events import Clips, Condition, Event, EventPage, Logs, condition_of, events_of, matches
+from .events import Clips, Condition, Event, Logs, condition_of, events_of, matches
 
 _LISTED: Final = 40
 """Events in the table."""
@@ -45,15 +45,19 @@ class Query:
     least_s: float = 0.0
 
 
-def find(source: str, query: Query, json: Path | None, gallery: EventPage | None, clips: Clips | None) -> None:
+def find(
+    source: str, query: Query, json: Path | None, gallery: Path | None, clips: Clips | None, changed: Sequence[str]
+) -> None:
     """Print the events of a condition in a dataset or in runs; write them as JSON, as a page, and as excerpts.
+
+    ``changed`` are settings KEY=VALUE for logs that were not kept and are replayed.
 
     Raises:
         TableError: there are no tables, a table cannot be read, or the condition does not fit.
         RoadpercError: a file cannot be written, or a log cannot be read or replayed.
     """
     if gallery is not None:
-        require_suffix(gallery.path, ".html", ".htm")
+        require_suffix(gallery, ".html", ".htm")
     dataset = dataset_at(source)
     logs = _of_dataset(dataset) if dataset else _of_runs(find_joined([source]).runs)
     schema = logs.schema()
@@ -73,12 +77,12 @@ def find(source: str, query: Query, json: Path | None, gallery: EventPage | None
         if gallery is not None:
             from .gallery import write_gallery  # noqa: PLC0415 - only pictures need the drawing
 
-            write_gallery(gallery.path, events, runs, query.condition, condition.peak, gallery.changed)
-            print_line(f"wrote {gallery.path}")
+            write_gallery(gallery, events, runs, query.condition, condition.peak, changed)
+            print_line(f"wrote {gallery}")
         if clips:
             from .clips import write_clips  # noqa: PLC0415 - only clips need the chain
 
-            write_clips(events, runs, clips)
+            write_clips(events, runs, clips, changed)
 
 
 def _event(row: Mapping[str, Any], logs: Logs, clips: Path | None) -> Event:

@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import cv2
-import numpy as np
-
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.output.drawing.canvas import Canvas
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.output.text_table import Table
+from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.text import number
 from roadperc_stream.view.frame_times import find_stop
 from roadperc_stream.view.pictures import picture_of
@@ -28,15 +26,6 @@ DRAWN: Final = 40
 _WIDTH_PX: Final = 640
 
 
-@dataclass(frozen=True)
-class Card:
-    """An event on the page: its picture as a data URI, or why it has none."""
-
-    event: Event
-    image: str
-    note: str = ""
-
-
 def write_gallery(
     target: Path, events: Sequence[Event], runs: Mapping[LogKey, Run], title: str, peak: str, changed: Sequence[str]
 ) -> None:
@@ -47,26 +36,24 @@ def write_gallery(
     Raises:
         TargetError: the page cannot be written.
     """
-    drawn = events[:DRAWN]
+    drawn, count = events[:DRAWN], number(len(events), "event")
+    cards = []
     with frame_progress("drawing", enabled=True) as progress:
-        cards = []
         for place, event in enumerate(drawn, 1):
-            cards.append(_card(event, runs[event.key].table_of(event.peak_frame), changed))
+            cards.append((event, *_picture(event, runs[event.key].table_of(event.peak_frame), changed)))
             progress(place, len(drawn))
-    notes = [f"The page shows the worst {DRAWN} of {number(len(events), 'event')}."] * (len(events) > DRAWN)
-    count = number(len(events), "event")
+    notes = [f"The page shows the worst {DRAWN} of {count}."] if len(events) > DRAWN else []
     page = {"stages": Table("", (), ()), "events": cards, "peak": peak, "notes": notes}
     save(target, render([title], [("unchanged", count)], [], **page))
 
 
-def _card(event: Event, run: Run, changed: Sequence[str]) -> Card:
+def _picture(event: Event, run: Run, changed: Sequence[str]) -> tuple[str, str]:
+    """The picture of an event's peak as a data URI, or an empty text and why there is none."""
     try:
         with ExitStack() as files:
-            found = shown(run, event.peak_frame, {}, "", changed, files, lambda *_: None)
+            found = shown(run, event.peak_frame, {}, "", changed, files, no_progress)
             assert found.number is not None  # a frame was asked for
             picture = picture_of(found.log, find_stop(found.log, found.number))
     except RoadpercError as error:
-        return Card(event, "", str(error))
-    scale = min(_WIDTH_PX / picture.shape[1], 1.0)
-    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else picture
-    return Card(event, data_uri(np.asarray(small, np.uint8)))
+        return "", str(error)
+    return data_uri(Canvas.resized(picture, min(_WIDTH_PX / picture.shape[1], 1.0)).pixels), ""

@@ -12,22 +12,10 @@ from roadperc_stream.geometry import Float
 from ..report.full_tables import better
 from ..report_columns import ERRORS
 from ..trajectory.poses import ESTIMATED_COLUMNS, TRUE_COLUMNS, known_poses
-from .figures import (
-    BUCKETS,
-    TRUTH_COLOUR,
-    Figure,
-    Series,
-    Trace,
-    axis,
-    colour_of,
-    hidden_below,
-    layout,
-    line,
-    numbers,
-    thinned,
-)
+from .figures import TRUTH_COLOUR, Figure, Series, Trace, axis, colour_of, layout, line, numbers, thinned, wider
 
-_WIDTH: Final = 1.6
+_POINTS: Final = 900
+"""Most points of a path."""
 _SHARES: Final = np.linspace(0, 1, 201)
 ERROR_COLUMNS: Final = tuple(quantity.column for quantity in ERRORS)
 """Columns of the distributions."""
@@ -48,7 +36,7 @@ def distributions(runs: Sequence[Series]) -> Iterator[Figure]:
                 np.nanquantile(run.values[quantity.column], _SHARES),
                 100 * _SHARES,
                 colour_of(place),
-                width=_WIDTH + hidden_below(runs, place, quantity.column),
+                wider=wider(runs, place, quantity.column),
             )
             for place, run in enumerate(runs)
             if quantity.column in run.values
@@ -119,7 +107,7 @@ def _coloured_by_error(run: Series, found: Paths) -> Trace:
 
 
 def _evenly(run: Series) -> NDArray[np.intp]:
-    evenly = np.linspace(0, len(run.segments) - 1, 3 * BUCKETS).astype(int)
+    evenly = np.linspace(0, len(run.segments) - 1, _POINTS).astype(int)
     return np.union1d(evenly, np.flatnonzero(np.diff(run.segments)))
 
 

@@ -24,6 +24,7 @@ COLOURS: Final = ("#2563eb", "#d97706", "#059669", "#c026d3", "#dc2626", "#0891b
 TRUTH_COLOUR: Final = "#111827"
 """The page's script replaces it on a dark page."""
 _DIGITS: Final = 6
+_WIDTH: Final = 1.6
 _WIDER: Final = 3.0
 Trace = dict[str, Any]
 Layout = dict[str, Any]
@@ -78,8 +79,11 @@ def axis(title: str, **more: Any) -> Layout:
 
 
 def line(name: str, x: Float, y: Float, colour: str, **more: Any) -> Trace:
-    """A line through (N,) points; NaN interrupts it. ``width`` and ``dash`` go to the line, the rest to the trace."""
-    look = {key: more.pop(key) for key in ("width", "dash") if key in more}
+    """A line through (N,) points; NaN interrupts it.
+
+    ``width``, ``wider`` (added to it) and ``dash`` go to the line, the rest to the trace.
+    """
+    look = {"width": more.pop("width", _WIDTH) + more.pop("wider", 0.0), "dash": more.pop("dash", "solid")}
     # A line through single values between gaps has no length, so points are drawn.
     alone = bool(np.isfinite(y).sum() and not np.isfinite(y[:-1] + y[1:]).any())
     return {
@@ -88,7 +92,7 @@ def line(name: str, x: Float, y: Float, colour: str, **more: Any) -> Trace:
         "name": escaped(name),
         "x": numbers(x),
         "y": numbers(y),
-        "line": {"color": colour, "width": 1.6, **look},
+        "line": {"color": colour, **look},
         **more,
     }
 
@@ -140,7 +144,7 @@ def load_series(run: Run, columns: Iterable[str]) -> Series:
     return Series(run.name, segments, times_s, filled)
 
 
-def hidden_below(runs: Sequence[Series], place: int, column: str) -> float:
+def wider(runs: Sequence[Series], place: int, column: str) -> float:
     """Additional width of a run's curve if later runs draw equal ones over it, so that all colours are visible."""
     values = runs[place].values[column]
     later = (run.values[column] for run in runs[place + 1 :] if column in run.values)

@@ -48,9 +48,8 @@ def precision_recall(tallies: Mapping[str, ObjectTally]) -> Iterator[Figure]:
             if found is not None:
                 kept = found.curve > 0
                 kept[0] = True
-                label = (
-                    f"{f'{run}: ' if len(tallies) > 1 else ''}AP {found.mean:.2f}, {number(found.true, 'true object')}"
-                )
+                prefix = f"{run}: " if len(tallies) > 1 else ""
+                label = f"{prefix}AP {found.mean:.2f}, {number(found.true, 'true object')}"
                 traces.append(line(label, RECALLS[kept], found.curve[kept], colour_of(place)))
         axes = layout("recall", "precision", hovermode="closest")
         axes["xaxis"]["range"] = axes["yaxis"]["range"] = [0, 1.03]

@@ -9,7 +9,7 @@ import numpy as np
 from roadperc_stream.geometry import Float
 
 from ..report_columns import REST, SIDES, STAGE_TIMES, TOTAL
-from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, hidden_below, layout, line, thinned
+from .figures import TIME_TITLE, TRUTH_COLOUR, Figure, Series, Trace, colour_of, layout, line, thinned, wider
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _traces(chart: TimeChart, runs: Sequence[Series], place: int) -> Iterator[Tr
     present = [kind for kind in chart.kinds if kind.column in run.values]
     keyed = next((kind for kind in present if kind.dash == "solid"), present[0] if present else None)
     for kind in present:
-        more: dict[str, Any] = {"width": kind.width + hidden_below(runs, place, kind.column), "dash": kind.dash}
+        more: dict[str, Any] = {"width": kind.width, "wider": wider(runs, place, kind.column), "dash": kind.dash}
         if several:
             more |= {"legendgroup": f"run {place}", "showlegend": kind is keyed, "hovertemplate": f"%{{y}} {kind.name}"}
         at = chart.kinds.index(kind)

@@ -8,10 +8,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final, TypeVar
 
-import cv2
 import polars as pl
 
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.log import LogSummary, summarise
 from roadperc_stream.model import Image
@@ -82,8 +82,7 @@ def frames_of(run: Run, wanted: pl.Expr) -> list[WorstFrame]:
 
 def data_uri(image_bgr: Image) -> str:
     """A JPEG as a data URI."""
-    _, encoded = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
+    return "data:image/jpeg;base64," + base64.b64encode(encode_jpeg(image_bgr, JPEG_QUALITY)).decode()
 
 
 def _images(

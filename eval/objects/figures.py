@@ -18,33 +18,21 @@ from ..report.summaries import Groups
 from ..runs import Run
 from ..scan import SEGMENT
 from .detection import average_precision, curves, mean_error
-from .matching import MATCHES_M
+from .matching import MATCHES_M, Mask
 from .scene import AT, ERRORS_AT, SEQUENCE, Detections, OfClass, Scene, read_scene
 from .tracks import TrackSums, association, identity_matches
 
-RINGS_M: Final = ((0.0, 20.0), (20.0, 40.0), (40.0, inf))
-"""Distances on the ground from the ego origin, by which objects are also judged apart."""
-WHOLE_M: Final = (0.0, inf)
-BANDS_S: Final = ((0, 1), (1, 2), (2, 3), (3, 5))
-"""Times to impact by which missed objects in the path are counted."""
+RINGS_M: Final = {"": (0.0, inf), "0-20m": (0.0, 20.0), "20-40m": (20.0, 40.0), "over-40m": (40.0, inf)}
+"""Distances on the ground from the ego origin by name: all, and those by which objects are also judged apart."""
+BANDS_S: Final = {"0-1s": (0.0, 1.0), "1-2s": (1.0, 2.0), "2-3s": (2.0, 3.0), "3-5s": (3.0, 5.0)}
+"""Times to impact by name, by which missed objects in the path are counted."""
 _MOST_PARTS: Final = 100
 """Most series of frames, over all logs: each one costs an evaluation of its log."""
 _FEWEST_PARTS: Final = 40
 _MOST_ROWS: Final = 1_000_000
 """With more detections than this in all evaluations of a log, there are fewer parts."""
 _AT_ONCE: Final = 200_000
-"""Most frames of logs whose objects are in memory at a time."""
-
-
-def ring_name(ring_m: tuple[float, float]) -> str:
-    """The name of a ring, such as ``20-40m``."""
-    first, last = ring_m
-    return f"over-{first:g}m" if last == inf else f"{first:g}-{last:g}m"
-
-
-def band_name(band_s: tuple[int, int]) -> str:
-    """The name of a band of times to impact, such as ``1-2s``."""
-    return f"{band_s[0]}-{band_s[1]}s"
+"""Frames of logs whose objects are in memory at a time; a log is not divided."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +43,10 @@ class ObjectTally:
     true objects of each of ``BANDS_S``, and ``detected`` those with a detection. ``tracks`` is None without ids.
     """
 
-    truths: Counter[tuple[str, tuple[float, float]]] = field(default_factory=Counter)
+    truths: Counter[tuple[str, str]] = field(default_factory=Counter)
     found: Mapping[str, tuple[Detections, ...]] = field(default_factory=dict)
-    impacts: Counter[tuple[int, int]] = field(default_factory=Counter)
-    detected: Counter[tuple[int, int]] = field(default_factory=Counter)
+    impacts: Counter[str] = field(default_factory=Counter)
+    detected: Counter[str] = field(default_factory=Counter)
     tracks: TrackSums | None = None
 
     def __add__(self, other: "ObjectTally") -> "ObjectTally":
@@ -99,12 +87,12 @@ class Detected:
         return float(np.mean(self.precision))
 
 
-def detected(tally: ObjectTally, name: str, ring_m: tuple[float, float] = WHOLE_M) -> Detected | None:
+def detected(tally: ObjectTally, name: str, ring: str = "") -> Detected | None:
     """How well the objects of a class are detected in a ring; None without true objects there.
 
     A detection that hits a true object counts in the ring of that object.
     """
-    true = tally.truths[name, ring_m]
+    true = tally.truths[name, ring]
     parts = tally.found.get(name, ())
     if not true:
         return None
@@ -113,7 +101,7 @@ def detected(tally: ObjectTally, name: str, ring_m: tuple[float, float] = WHOLE_
     if len(parts) > 1:
         falling = np.argsort(-score, kind="stable")
         score, hit, reach_m, off_m, off_mps = (of[falling] for of in (score, hit, reach_m, off_m, off_mps))
-    inside = (reach_m >= ring_m[0]) & (reach_m < ring_m[1])
+    inside = _between(reach_m, RINGS_M[ring])
     precision = []
     for at in range(len(MATCHES_M)):
         rows = inside[:, at]
@@ -127,19 +115,23 @@ def detected(tally: ObjectTally, name: str, ring_m: tuple[float, float] = WHOLE_
 
 def tally_of(scene: Scene) -> ObjectTally:
     """The tally of a scene."""
-    truths: Counter[tuple[str, tuple[float, float]]] = Counter()
-    for name, of in scene.classes.items():
-        for ring_m in (WHOLE_M, *RINGS_M):
-            inside = (of.truths.reach_m >= ring_m[0]) & (of.truths.reach_m < ring_m[1])
-            truths[name, ring_m] = int(np.count_nonzero(inside))
-    in_band = {band_s: (band_s[0] <= scene.impacts.time_s) & (scene.impacts.time_s < band_s[1]) for band_s in BANDS_S}
+    truths = {
+        (name, ring): int(_between(of.truths.reach_m, ring_m).sum())
+        for name, of in scene.classes.items()
+        for ring, ring_m in RINGS_M.items()
+    }
+    in_band = {band: _between(scene.impacts.time_s, band_s) for band, band_s in BANDS_S.items()}
     return ObjectTally(
-        +truths,
+        +Counter(truths),  # without those that are 0
         {name: (of.found,) for name, of in scene.classes.items()},
-        +Counter({band_s: int(np.count_nonzero(rows)) for band_s, rows in in_band.items()}),
-        +Counter({band_s: int(np.count_nonzero(rows & scene.impacts.detected)) for band_s, rows in in_band.items()}),
+        +Counter({band: int(rows.sum()) for band, rows in in_band.items()}),
+        +Counter({band: int((rows & scene.impacts.detected).sum()) for band, rows in in_band.items()}),
         sum(map(_track_sums, scene.classes.values()), TrackSums()) if scene.has_tracks else None,
     )
+
+
+def _between(values: Float, limits: tuple[float, float]) -> Mask:
+    return (values >= limits[0]) & (values < limits[1])
 
 
 def _track_sums(of: OfClass) -> TrackSums:
@@ -164,18 +156,16 @@ def _count(track: Numbers, of: Numbers) -> Numbers:
 
 def figures(tally: ObjectTally) -> Iterator[tuple[str, float]]:
     """The judged figures with a value, by name: those of classes are averaged as in nuScenes."""
-    for ring_m in (WHOLE_M, *RINGS_M):
-        by_class = {name: found for name in tally.classes if (found := detected(tally, name, ring_m))}
+    for ring in RINGS_M:
+        by_class = {name: found for name in tally.classes if (found := detected(tally, name, ring))}
         if not by_class:
             continue
-        mean = float(np.mean([found.mean for found in by_class.values()]))
-        yield "objects_ap" if ring_m == WHOLE_M else f"objects_ap.{ring_name(ring_m)}", mean
-        if ring_m == WHOLE_M:
+        yield f"objects_ap.{ring}".rstrip("."), float(np.mean([found.mean for found in by_class.values()]))
+        if not ring:
             yield from ((f"objects_ap.{name}", found.mean) for name, found in by_class.items())
             yield "objects_ate_m", float(np.mean([found.off_m for found in by_class.values()]))
             yield "objects_ave_mps", float(np.mean([found.off_mps for found in by_class.values()]))
-    for band_s, true in tally.impacts.items():
-        yield f"objects_recall.{band_name(band_s)}", tally.detected[band_s] / true
+    yield from ((f"objects_recall.{band}", tally.detected[band] / true) for band, true in tally.impacts.items())
     if tally.tracks is not None:
         yield from ((f"tracks_{name}", value) for name, value in tally.tracks.figures.items())
 
@@ -220,14 +210,8 @@ def tallies(frames: Frames, groups: Groups) -> list[ObjectTally]:
     """
     found = [ObjectTally() for _ in groups.names]
     order = np.argsort(frames.run, kind="stable")
-    ends = np.cumsum(np.bincount(frames.run, minlength=frames.runs.height))
-    begin = 0
-    while begin < len(order):
-        full = int(np.searchsorted(ends, begin + _AT_ONCE, "right")) - 1
-        own = int(np.searchsorted(ends, begin, "right"))
-        at = order[begin : ends[max(full, own)]]
-        begin += len(at)
-        keys = frames.runs.select(frames.source.keys)
+    ends, keys = np.cumsum(np.bincount(frames.run)), frames.runs.select(frames.source.keys)
+    for at in np.split(order, ends[:-1][np.diff(ends // _AT_ONCE) > 0]):
         numbers = {"frame": frames.frame[at], AT: np.arange(len(at)), SEQUENCE: frames.segment[at]}
         scene = read_scene(frames.source, keys[frames.run[at]].hstack(pl.DataFrame(numbers)))
         if scene is not None:

@@ -167,13 +167,12 @@ def _read_found(source: FrameSource, frames: pl.DataFrame) -> pl.DataFrame | Non
 
 
 def _class_of() -> pl.Expr:
-    """The class of a label: the first one of the table of classes, else the label itself."""
-    return pl.col("label").map_elements(class_of_label, pl.String).alias(_CLASS)
-
-
-def class_of_label(label: str) -> str:
     """The class of a label: the first one of the table of classes, else the label in its normal form."""
-    return (classes_of_label(label) or (normal_label(label),))[0]
+    return (
+        pl.col("label")
+        .map_elements(lambda label: (classes_of_label(label) or (normal_label(label),))[0], pl.String)
+        .alias(_CLASS)
+    )
 
 
 def _with_tracks(rows: pl.DataFrame, name: str) -> pl.DataFrame:

@@ -6,7 +6,7 @@ from typing import Final
 from roadperc_stream.output.text_table import Row, Table, rows_of_subjects
 
 from ..report_columns import percent
-from .figures import BANDS_S, RINGS_M, WHOLE_M, Detected, ObjectTally, band_name, detected, ring_name
+from .figures import BANDS_S, RINGS_M, Detected, ObjectTally, detected
 from .matching import MATCHES_M
 
 _LISTED: Final = 12
@@ -26,14 +26,12 @@ def object_tables(tallies: Mapping[str, ObjectTally]) -> Iterator[Table]:
     """The tables with rows, of the tallies of each subject by its name."""
     shown, several = dict(list(tallies.items())[:_LISTED]), len(tallies) > 1
     names = sorted({name for tally in shown.values() for name in tally.classes})
-    rings = [(name, ring_m) for name in names for ring_m in (WHOLE_M, *RINGS_M)]
     found = {
-        name if ring_m == WHOLE_M else f"{name} {ring_name(ring_m)}": {
-            subject: _detection(of)
-            for subject, tally in shown.items()
-            if (of := detected(tally, name, ring_m)) is not None
+        f"{name} {ring}".rstrip(): {
+            subject: _detection(of) for subject, tally in shown.items() if (of := detected(tally, name, ring))
         }
-        for name, ring_m in rings
+        for name in names
+        for ring in RINGS_M
     }
     headers = ("true", "AP", *(f"{limit_m:g} m" for limit_m in MATCHES_M), "ATE m", "AVE m/s")
     yield from _table("Detection", headers, found, several, _ABOUT_AP)
@@ -41,12 +39,12 @@ def object_tables(tallies: Mapping[str, ObjectTally]) -> Iterator[Table]:
     headers = ("HOTA", "DetA", "AssA", "MOTA", "IDF1", "IDSW")
     yield from _table("Tracks", headers, {"all classes": tracks} if tracks else {}, several, _ABOUT_TRACKS)
     impacts = {
-        band_name(band_s): {
-            subject: (str(true), percent(tally.detected[band_s] / true))
+        band: {
+            subject: (str(true), percent(tally.detected[band] / true))
             for subject, tally in shown.items()
-            if (true := tally.impacts[band_s])
+            if (true := tally.impacts[band])
         }
-        for band_s in BANDS_S
+        for band in BANDS_S
     }
     yield from _table("Time to impact", ("true", "found %"), impacts, several, _ABOUT_RECALL)
 

@@ -171,7 +171,9 @@ def _short(subject: Subject, options: ReportOptions) -> Results:
     """The stages of one run or group, or a row for each of several; the verdict on two runs of a log; or slices."""
     if options.by and of_objects(options.by, subject.source):
         found = object_slices(subject.source, options.by)
-        found = replace(found, tables=(*found.tables, *_of_all_objects(subject.source)))
+        frames = load(subject.source)
+        of_all = _of_objects(frames, grouped_frames(frames, ()))
+        found = replace(found, tables=(*found.tables, *of_all))
     elif options.by or subject.dataset:
         found = _short_of_groups(subject, options.by)
     else:
@@ -367,12 +369,6 @@ def _full_of_groups(subject: Subject, options: ReportOptions) -> Results:
 def _of_objects(frames: Frames, groups: Groups) -> Iterator[Table]:
     """The tables on detections and tracks of each group, if the logs have true objects."""
     return object_tables(dict(zip(groups.names, tallies(frames, groups), strict=True)))
-
-
-def _of_all_objects(source: FrameSource) -> Iterator[Table]:
-    """The tables on detections and tracks of all frames."""
-    frames = load(source)
-    return _of_objects(frames, grouped_frames(frames, ()))
 
 
 def _agreement(frames: Frames) -> Iterator[Table]:

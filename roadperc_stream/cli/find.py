@@ -23,13 +23,12 @@ example:
 def main(argv: list[str] | None = None) -> int:
     """``roadperc-find``: print the events, with the command that shows each."""
     arguments = parse(_parser(), argv)
-    from roadperc_stream.eval.find.events import Clips, EventPage
+    from roadperc_stream.eval.find.events import Clips
     from roadperc_stream.eval.find.find import Query, find
 
     query = Query(arguments.condition, arguments.peak or "", arguments.gap, arguments.min_seconds)
-    clips = Clips(arguments.clips, arguments.topic, arguments.set, arguments.force) if arguments.clips else None
-    page = EventPage(arguments.gallery, arguments.set) if arguments.gallery else None
-    return run(lambda: find(arguments.dataset, query, arguments.json, page, clips))
+    clips = Clips(arguments.clips, arguments.topic, arguments.force) if arguments.clips else None
+    return run(lambda: find(arguments.dataset, query, arguments.json, arguments.gallery, clips, arguments.set))
 
 
 def _parser() -> argparse.ArgumentParser:

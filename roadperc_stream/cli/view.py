@@ -177,30 +177,20 @@ def _require_sense(parser: argparse.ArgumentParser, arguments: argparse.Namespac
     at_frame = arguments.frame is not None or arguments.worst
     served = [*given_options(arguments), *(["start"] if arguments.start is not None else [])]
     by_role = [name for name in arguments.topic if not name.startswith("/")]
+    written = arguments.save or png or video
+    from_frame, roles = (pair or at_frame) and (video or layout), by_role and (video or (live and not layout))
     refused = (
         (arguments.log is None and (layout is None or arguments.topic or live), "expected a log: OUT.mcap"),
-        (
-            (pair or at_frame) and (video or layout),
-            "--frame, --worst and NEW apply only to the Rerun viewer, --save, --png and --foxglove",
-        ),
+        (from_frame, "--frame, --worst and NEW apply only to the Rerun viewer, --save, --png and --foxglove"),
         (pair and live, "--foxglove plays one log; remove NEW"),
         (pair and png, "--png shows one log; remove NEW"),
         (png and not at_frame, "--png shows one frame; pass --frame N or --worst COLUMN"),
         (at_frame and arguments.start is not None, "--frame and --worst cannot be combined with --start"),
-        (
-            layout and (arguments.save or png or video),
-            "--foxglove-layout cannot be combined with --save, --png or --video",
-        ),
+        (layout and written, "--foxglove-layout cannot be combined with --save, --png or --video"),
         (served and not live, f"--{''.join(served[:1])} needs --foxglove"),
-        (
-            by_role and (video or (live and not layout)),
-            "--topic ROLE=/NAME applies only to the Rerun viewer, --save, --png and --foxglove-layout",
-        ),
+        (roles, "--topic ROLE=/NAME applies only to the Rerun viewer, --save, --png and --foxglove-layout"),
         (len(arguments.topic) - len(by_role) > 1, "--topic /NAME: expected the topic of one picture"),
-        (
-            arguments.force and not (arguments.save or layout or png or video),
-            "--force needs --save, --foxglove-layout, --png or --video",
-        ),
+        (arguments.force and not (written or layout), "--force needs --save, --foxglove-layout, --png or --video"),
     )
     for is_wrong, text in refused:
         if is_wrong:

@@ -186,11 +186,8 @@ def record(paths: Sequence[Path], overrides: Mapping[str, str], cfg: ReplayConfi
     """
     measures = Measures()
     files = [examine(file, overrides, cfg, measures) for file in log.received(paths)]
-    spans = [
-        (facts.first_ns, facts.last_ns) for facts in files if facts.first_ns is not None and facts.last_ns is not None
-    ]
-    first_ns = min((first for first, _ in spans), default=0)
-    measures.finish(first_ns, max((last for _, last in spans), default=0))
+    first_ns = min((facts.first_ns for facts in files if facts.first_ns is not None), default=0)
+    measures.finish(first_ns, max((facts.last_ns or 0 for facts in files), default=0))
     damages = [damage.words for facts in files for damage in facts.file.damages]
     findings = {finding.code: finding.text for facts in files for finding in facts.replay.findings}
     readings: dict[str, list[Any]] = {
@@ -208,13 +205,14 @@ def record(paths: Sequence[Path], overrides: Mapping[str, str], cfg: ReplayConfi
 def learned(recordings: Sequence[MeasuredLog]) -> Contract:
     """The contract that all logs keep, with a margin. A topic that only some logs have is optional."""
     topics = {}
-    for topic in sorted({topic for recording in recordings for topic in recording.measures.topics}):
+    for topic in sorted({topic for one in recordings for topic in one.measures.topics}):
         found = [one.measures.topics[topic] for one in recordings if topic in one.measures.topics]
-        limits = _limits(KEYS, [one.readings for one in found])
-        fewest, smallest = min(one.messages for one in found), min(min(one.readings["message_bytes"]) for one in found)
-        repeats = max(max(one.readings["repeats"]) for one in found)
-        unlimited = (*(_OF_TIMES if fewest < _FEWEST else ()), *(("repeats",) if repeats >= fewest / 2 else ()))
-        unlimited += ("repeats", "message_bytes") if smallest < _LEAST_BYTES else ()
+        limits, fewest = _limits(KEYS, [one.readings for one in found]), min(one.messages for one in found)
+        unlimited: tuple[str, ...] = _OF_TIMES if fewest < _FEWEST else ()
+        if max(max(one.readings["repeats"]) for one in found) >= fewest / 2:
+            unlimited += ("repeats",)
+        if min(min(one.readings["message_bytes"]) for one in found) < _LEAST_BYTES:
+            unlimited += ("repeats", "message_bytes")
         optional = {"optional": True} if len(found) < len(recordings) else {}
         topics[topic] = optional | {key: limit for key, limit in limits.items() if key not in unlimited}
     return Contract(log=_limits(KEYS_OF_LOG, [one.log for one in recordings]), topics=topics)
@@ -246,23 +244,16 @@ def broken(recording: MeasuredLog, contract: Contract) -> tuple[Broken, ...]:
         measured = recording.measures.topics.get(topic)
         if measured is None:
             if not limits.get("optional"):
-                found.append(
-                    Broken(
-                        topic,
-                        "topic",
-                        _words(limits.get("types", ("messages",))),
-                        _instead(limits, recording, contract),
-                    )
-                )
+                expected = _words(limits.get("types", ("messages",)))
+                found.append(Broken(topic, "topic", expected, _instead(limits, recording, contract)))
             continue
         wrong = list(_broken(topic, limits, measured.readings, recording))
         if any(one.key == "types" for one in wrong):  # the rest follows from it
             wrong = [one for one in wrong if one.key == "types"]
         elif not measured.decoded and not set(limits) <= set(_OF_ANY_TOPIC):
+            found_instead = "none; see roadperc-info without --contract"
             wrong = [one for one in wrong if one.key in _OF_ANY_TOPIC]
-            wrong.append(
-                Broken(topic, "role", "messages that a replay reads", "none; see roadperc-info without --contract")
-            )
+            wrong.append(Broken(topic, "role", "messages that a replay reads", found_instead))
         found += wrong
     if any(one.topic in recording.measures.references and one.key in _OF_FRAMES for one in found):
         found = [one for one in found if one.key != "offset_s"]  # the frames are wrong, not the other sensors

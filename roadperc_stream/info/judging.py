@@ -58,10 +58,8 @@ def judge_logs(logs: Sequence[Path], topics: Sequence[str], cfg: ReplayConfig, p
                 print_json(asdict(facts) | {"contract": judged})
             continue
         print_line(f"{name}: breaks {number(len(found), 'limit')} of {path}" if found else f"{name}: keeps {path}")
-        for line in (
-            *map(str, found),
-            *((f"note: topics that the contract does not have: {listed(new)}",) if new else ()),
-        ):
+        notes = [f"note: topics that the contract does not have: {listed(new)}"] if new else []
+        for line in (*found, *notes):
             print_line(f"  {line}")
     if unread:
         raise LogError(listed(unread, len(unread)))

@@ -41,13 +41,11 @@ def write_input_log(path: Path, frames: Iterable[tuple[Frame, Truth]]) -> int:
     with LogWriter(path) as log:
         for count, (frame, truth) in enumerate(frames, 1):
             stamp_ns, tagged = frame.stamp_ns, frame.segmentation or truth.segmentation
-            changed = {role for role, data in _cameras(frame, 0) if known.get(role) != data}
-            known |= dict(_cameras(frame, 0))
-            cameras = (item for item in _cameras(frame, stamp_ns) if item[0] in changed)
+            before, known = known, known | dict(_cameras(frame, 0))
+            cameras = (item for item in _cameras(frame, stamp_ns) if known[item[0]] != before.get(item[0]))
             for role, data in chain(cameras, _inputs(frame), _truth(frame, truth)):
-                log.write(
-                    Message(channel_of(role, tagged.table if tagged else None), stamp_ns, stamp_ns, count - 1, data)
-                )
+                channel = channel_of(role, tagged.table if tagged else None)
+                log.write(Message(channel, stamp_ns, stamp_ns, count - 1, data))
         if not count:
             raise TargetError(f"{path}: expected one frame or more, found none")
     return count

@@ -6,11 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from google.protobuf.message import DecodeError as ProtobufError
-
 from roadperc_stream import log
-from roadperc_stream.errors import ChannelError, DecodeError, LogError
+from roadperc_stream.errors import ChannelError, LogError
 from roadperc_stream.formats import images
 from roadperc_stream.input.decoding import context_of_channel, decode, schemas_of_kind
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
@@ -32,7 +29,7 @@ from roadperc_stream.view.result_frames import LATENESS_NS, content_of, read_fra
 
 Shot = Callable[[], Image | None]
 """Decodes or draws the (H, W, 3) picture of a frame; None if it cannot be read."""
-_KINDS: Final[tuple[Kind, ...]] = ("image", "depth")
+_SCHEMAS: Final = (*schemas_of_kind("image"), *schemas_of_kind("depth"))
 
 
 def write_picture(source: log.AnyLog, stop: Stop, topic: str, target: Path, *, force: bool = False) -> tuple[int, int]:
@@ -57,14 +54,15 @@ def picture_of(source: log.AnyLog, stop: Stop, topic: str = OVERLAY_TOPIC) -> Im
         LogError: the log has no such topic, or no picture of this frame.
     """
     summary, problems = log.summarise(source), Problems()
-    channel = channel_of_pictures(summary, topic)
+    channels = picture_channels(summary)
+    channel = channels.get(topic)
     if channel is not None:
         picture = _nearest(summary, channel, stop, problems)
     elif topic == OVERLAY_TOPIC:
         picture = _drawn(summary, stop, problems)
     else:
-        there = sorted(c.topic for c in summary.channels if _shows_pictures(c) and summary.counts.get(c.source_id))
-        raise LogError(f"{source}: no pictures on {topic}; expected {OVERLAY_TOPIC} or one of {listed(there)}")
+        expected = f"expected {OVERLAY_TOPIC} or one of {listed(sorted(channels))}"
+        raise LogError(f"{source}: no pictures on {topic}; {expected}")
     if picture is None:
         # the log may be a temporary replay, so the topic is named instead
         why = "".join(f"; {text}" for text in problems.first.values())
@@ -73,15 +71,10 @@ def picture_of(source: log.AnyLog, stop: Stop, topic: str = OVERLAY_TOPIC) -> Im
     return picture
 
 
-def channel_of_pictures(summary: LogSummary, topic: str) -> Channel | None:
-    """The channel of a topic that has pictures; None without messages on it."""
-    there = (c for c in summary.channels if c.topic == topic and summary.counts.get(c.source_id))
-    return next((channel for channel in there if _shows_pictures(channel)), None)
-
-
-def _shows_pictures(channel: Channel) -> bool:
-    form = channel.schema_name, channel.message_encoding
-    return any(form in schemas_of_kind(kind) for kind in _KINDS)
+def picture_channels(summary: LogSummary) -> dict[str, Channel]:
+    """The channels with pictures by topic; of several of one topic the first."""
+    there = [channel for channel in summary.channels if summary.counts.get(channel.source_id)]
+    return {c.topic: c for c in reversed(there) if (c.schema_name, c.message_encoding) in _SCHEMAS}
 
 
 def _drawn(summary: LogSummary, stop: Stop, problems: Problems) -> Image | None:
@@ -96,10 +89,11 @@ def _drawn(summary: LogSummary, stop: Stop, problems: Problems) -> Image | None:
 
 def _nearest(summary: LogSummary, channel: Channel, stop: Stop, problems: Problems) -> Image | None:
     """The picture of the frame's own stamp, among those of its log time; of an input also the nearest stamp."""
+    kind: Kind = "depth" if channel.topic in {STEREO_DEPTH_TOPIC, *_depth_topics(summary)} else "image"
     for lateness_ns in LATENESS_NS:
         span = {"start_ns": max(stop.log_time_ns - lateness_ns, 0), "end_ns": stop.log_time_ns + lateness_ns + 1}
         read = [message for message in log.read(summary, topics=(channel.topic,), **span) if message.channel == channel]
-        found = [one for message in read if (one := _picture(summary, message, problems)) is not None]
+        found = [one for message in read if (one := _picture(message, kind, problems)) is not None]
         exact = [picture for stamp_ns, picture in found if stamp_ns == stop.stamp_ns]
         if exact:
             return exact[0]()
@@ -107,13 +101,12 @@ def _nearest(summary: LogSummary, channel: Channel, stop: Stop, problems: Proble
     return None if nearest is None or is_result(channel) else nearest[1]()
 
 
-def _picture(summary: LogSummary, message: Message, problems: Problems) -> tuple[int, Shot] | None:
+def _picture(message: Message, kind: Kind, problems: Problems) -> tuple[int, Shot] | None:
     """Stamp and picture of a message; None if it cannot be read."""
     channel, time_ns = message.channel, message.log_time_ns
-    is_depth = channel.topic == STEREO_DEPTH_TOPIC or channel.topic in _depth_topics(summary)
     context = replace(context_of_channel(channel, "auto"), tag_table=CARLA_BEFORE_0_9_14)
     form = channel.schema_name, channel.message_encoding, message.data, time_ns, context
-    decoded = content_of(partial(decode, "depth" if is_depth else "image", *form), channel.topic, time_ns, problems)
+    decoded = content_of(partial(decode, kind, *form), channel.topic, time_ns, problems)
     if decoded is None:
         return None
     return decoded.stamp_ns, partial(content_of, partial(_pixels, decoded.payload), channel.topic, time_ns, problems)
@@ -151,7 +144,7 @@ def shots(summary: LogSummary, topic: str, problems: Problems, width_px: int) ->
     Raises:
         LogError: the log has no such pictures.
     """
-    channel = channel_of_pictures(summary, topic)
+    channel = picture_channels(summary).get(topic)
     if channel is not None and is_result_of(channel, topic):
         yield from _written(summary, topic, problems)
     elif topic == OVERLAY_TOPIC:
@@ -180,18 +173,11 @@ def _written(summary: LogSummary, topic: str, problems: Problems) -> Iterator[Sh
     shot: Shot = _no_picture
     for message in log.read(summary, topics=(topic, METRICS_TOPIC)):
         if is_result_of(message.channel, topic):
-            pixels = partial(_decoded, message.data)
-            shot = partial(content_of, pixels, topic, message.log_time_ns, problems)
+            found = _picture(message, "image", problems)
+            shot = _no_picture if found is None else found[1]
         elif row_of(message, problems):
             if frames:
                 yield shot
             frames, shot = frames + 1, _no_picture
     if frames:
         yield shot
-
-
-def _decoded(data: bytes) -> Image:
-    try:
-        return images.decode_bgr(CompressedImage.FromString(data).data)
-    except ProtobufError as error:
-        raise DecodeError(f"{len(data)} bytes are not a foxglove.CompressedImage: {error}") from error

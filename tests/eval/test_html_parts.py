@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadperc_stream.eval.html.charts import distributions, paths, trajectory
-from roadperc_stream.eval.html.figures import Series, hidden_below, line, numbers, thinned
+from roadperc_stream.eval.html.figures import Series, line, numbers, thinned, wider
 from roadperc_stream.eval.html.known_plots import poses_over_time
 from roadperc_stream.eval.html.over_time import over_time, stage_times
 from roadperc_stream.eval.html.pictures import gallery
@@ -209,7 +209,7 @@ def test_a_curve_below_equal_ones_is_wider_so_that_every_run_is_visible():
         Series(name, np.zeros(3, int), np.arange(3.0), {"lane_left_offset_m": y})
         for name, y in zip("abc", values, strict=True)
     ]
-    first, second, third = (hidden_below(runs, place, "lane_left_offset_m") for place in range(3))
+    first, second, third = (wider(runs, place, "lane_left_offset_m") for place in range(3))
     assert first > second == third == 0
     widths = [trace["line"]["width"] for figure in over_time(runs) for trace in figure.traces]
     assert widths[0] > widths[1] == widths[2]

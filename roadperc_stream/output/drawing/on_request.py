@@ -74,9 +74,8 @@ def surface_picture(
 
 def _look(canvas: Canvas, rank: int) -> tuple[Colour, int]:
     """Colour and width of a hypothesis; the best one has the rank 0."""
-    if rank >= _GOOD_ONES:
-        return _OTHER, 1
-    return (_GOOD, canvas.line_px) if rank else (_BEST, canvas.broad_px)
+    good = (_GOOD, canvas.line_px) if rank else (_BEST, canvas.broad_px)
+    return good if rank < _GOOD_ONES else (_OTHER, 1)
 
 
 def _dots(canvas: Canvas, px: Float, colour: Colour, radius_px: int) -> None:
@@ -251,9 +250,8 @@ def picture_messages(
     fits = image is not None and image.shape[:2] == sample.frame.camera.size
     pictures = list(_debug(sample.frame, image if fits else None, result)) if "debug" in requests else []
     if image is not None and "overlay" in requests:
-        frame = PerceivedFrame(image, result.lanes, result.objects, result.drivable, fits)
         since_start_s = ns_to_seconds(result.stamp_ns - first_ns)
-        overlay = draw_frame(frame, metrics, since_start_s, image.shape[1])
+        overlay = draw_frame(perceived(sample.frame, result), metrics, since_start_s, image.shape[1])
         pictures.insert(0, (topics.OVERLAY_TOPIC, result.frame_id, overlay))
     for topic, frame_id, picture in pictures:
         jpeg = encode_jpeg(picture, _JPEG_QUALITY)
