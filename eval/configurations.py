@@ -1,6 +1,7 @@
 """The configurations of runs: groups of equal configuration, and the settings that differ."""
 
 import hashlib
+import re
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ NO_SUCH_SETTING: Final = "-"
 _TITLE: Final = "Settings that differ"
 _DIGITS: Final = 8
 """Digits shown of a configuration's digest."""
+_DIGEST: Final = re.compile(r"(?<= )[0-9a-f]{64}$")
+"""The SHA-256 of a stage's source."""
 _MOST_CHARACTERS: Final = 100
 """Longer values are not shown."""
 
@@ -91,7 +94,8 @@ def differing(configurations: Sequence[Settings]) -> dict[str, tuple[str, ...]]:
 
 
 def _in_short(value: str) -> str:
-    """The value; of a long one, such as the picture of a template, its length and digest."""
+    """The value with short digests; of a long one, such as the picture of a template, its length and digest."""
+    value = _DIGEST.sub(lambda found: found[0][:_DIGITS], value)
     if len(value) <= _MOST_CHARACTERS:
         return value
     return f"{len(value)} characters with sha256 {hashlib.sha256(value.encode()).hexdigest()[:_DIGITS]}"

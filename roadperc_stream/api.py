@@ -137,19 +137,26 @@ class LogFrame:
 
     def _repr_png_(self) -> bytes:
         """The picture that a notebook shows."""
-        return encode_png(draw(self.input, self.result)[..., ::-1])
+        return encode_png(draw(self)[..., ::-1])
 
 
-def draw(frame: Frame, result: FrameResult) -> Image:
+def draw(frame: Frame | LogFrame, result: FrameResult | None = None) -> Image:
     """The results of a frame drawn into its camera image; without an image into its depth, else over black.
 
     Args:
-        frame: ``LogFrame.input``, or a frame from ``Chain.frame``.
-        result: its result.
+        frame: a frame of ``rp.frames``, or a frame from ``Chain.frame``.
+        result: its result, which a frame of ``rp.frames`` already has.
 
     Returns:
         (H, W, 3) uint8 in the order red, green, blue, as matplotlib and Pillow expect.
+
+    Raises:
+        TypeError: a frame from ``Chain.frame`` has no result.
     """
+    if isinstance(frame, LogFrame):
+        return draw(frame.input, result or frame.result)
+    if result is None:
+        raise TypeError("draw: expected a result; pass rp.draw(frame, chain.step(frame))")
     picture = draw_results(perceived(rectified_frame(frame), result), frame.camera.width)
     return np.ascontiguousarray(picture[..., ::-1])
 

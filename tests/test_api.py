@@ -327,13 +327,15 @@ def test_arrays_are_written_drawn_and_stepped_as_one_frame(tmp_path):
         picture = rp.draw(frame, result)
         assert (picture.shape, picture.dtype) == ((240, 320, 3), np.uint8)
         assert picture[5, 300].tolist() == [10, 10, 200], "red, green, blue"
-        assert np.array_equal(picture, rp.draw(replayed.input, replayed.result))
+        assert np.array_equal(picture, rp.draw(replayed))
         assert replayed._repr_png_().startswith(b"\x89PNG")
         assert "lanes" in result._repr_html_()
     with pytest.raises(TypeError, match="step: pass a frame or arrays, not both"):
         chain.step(frames[0], image=image)
     with pytest.raises(rp.RoadpercError, match=r"none\.mcap: expected one frame or more, found none"):
         rp.write_log(tmp_path / "none.mcap", [])
+    with pytest.raises(TypeError, match=r"draw: expected a result; pass rp\.draw\(frame, chain\.step\(frame\)\)"):
+        rp.draw(frames[0])
     assert {path.name for path in tmp_path.iterdir()} == {"in.mcap"}
 
 

@@ -114,7 +114,7 @@ def _titles(found: Check, outcome: Outcome) -> list[str]:
 
 
 def _lines(found: Check) -> Iterator[str]:
-    """The verdict, a line for each criterion that is not passed, and the counts."""
+    """The verdict, a line for each criterion that fails, the others by outcome, and the counts."""
     failed, frames = _titles(found, "failed"), sum(run.frames for run in found.runs)
     where = f"{number(frames, 'frame')} of {number(len(found.runs), 'run')}"
     criteria = "default criteria" if found.criteria == DEFAULT_CRITERIA else str(found.criteria)
@@ -124,6 +124,8 @@ def _lines(found: Check) -> Iterator[str]:
     if len(failed) > _LISTED:
         yield f"failed   also {listed(failed[_LISTED:])}"
     yield from (f"error    {path} has no result: {reason}" for path, reason in found.failed_logs[:_LISTED])
+    if passed := _titles(found, "passed"):
+        yield f"passed   {listed(passed)}"
     skipped: dict[str, list[str]] = {}
     for title in _titles(found, "skipped"):
         skipped.setdefault(found.by_title[title][0].reason, []).append(title)

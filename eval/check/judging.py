@@ -230,7 +230,7 @@ def _judged(criterion: Criterion, parts: Sequence[_Part], log: str) -> Result:
     frames = sum(part.rows.height for part in parts)
     if frames < criterion.least_frames:
         few = f"{number_of(frames, 'frame')}, expected {criterion.least_frames} at least"
-        reason = few if frames else "no frame fulfils the filter"
+        reason = few if frames else f"no frame fulfils the filter {criterion.filter}"
         return Result(criterion, log, "skipped", frames, reason=reason)
     values = pl.concat([part.rows["value"] for part in parts]).drop_nulls()
     coverage = values.len() / frames

@@ -12,7 +12,7 @@ from roadperc_stream.errors import RoadpercError
 from roadperc_stream.formats.images import encode_jpeg
 from roadperc_stream.input.stream import Problems
 from roadperc_stream.model import Image
-from roadperc_stream.output.drawing.overlay import LEGEND, PerceivedFrame, Phrase, draw_captioned
+from roadperc_stream.output.drawing.overlay import PerceivedFrame, Phrase, draw_captioned
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.system.files import completing, scratch_folder, target_errors
 from roadperc_stream.system.progress import Progress
@@ -55,7 +55,7 @@ def draw_worst(found: Comparison, folder: Path) -> Pictures:
                 seen, lines = _seen(run, place.stamp_ns, scratch / f"{rank} {side}", bar)
                 notes += [f"picture {rank}, {side}: {line}" for line in lines]
                 measured = Phrase(f"{side}: {place.metric.label} {value}{unit}")
-                phrases = measured, Phrase(f"frame {place.frame}"), *LEGEND
+                phrases = measured, Phrase(f"frame {place.frame}")
                 halves.append(None if seen is None else draw_captioned(seen, phrases, _HALF_PX))
             name = f"{rank}_{_NOT_IN_NAMES.sub('-', place.pair.name)}_frame_{place.frame}.jpg"
             if any(half is not None for half in halves):

@@ -11,7 +11,7 @@ from roadperc_stream.geometry import Camera
 from roadperc_stream.info.facts import CameraFacts, FileFacts, LogFacts
 from roadperc_stream.info.measures import Measures
 from roadperc_stream.info.provenance import provenance_of
-from roadperc_stream.info.role_states import roles_of
+from roadperc_stream.info.role_states import roles_of, with_given
 from roadperc_stream.info.scan import Scan, channel_facts
 from roadperc_stream.input.assemble import ego_T_camera_of
 from roadperc_stream.input.earlier_replay import is_result, is_result_log, recorded_tag_table, recorded_topics
@@ -68,7 +68,9 @@ def _finish_replay(scan: Scan, salvage: Salvage, summary: LogSummary | None) -> 
     if roles.reference is not None:
         if summary is not None:
             try:
-                scan.latched = replaced(scan.latched, given_for(summary, roles, scan.cfg), roles.reference)
+                given = given_for(summary, roles, scan.cfg)
+                scan.latched = replaced(scan.latched, given, roles.reference)
+                replay.roles = with_given(replay.roles, given.cameras, mounted=bool(given.tree.edges))
             except DumpError as error:  # a wrong camera in the configuration
                 replay.refusal = str(error)
         replay.findings = scan.evidence.findings(scan.cfg, roles.topics, roles.reference, scan.latched)

@@ -1,7 +1,7 @@
 """Assigns channels to the roles of a replay, and describes the effect of each missing role."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from roadperc_stream.errors import ChannelError
@@ -23,6 +23,8 @@ _CALIBRATIONS: Final = {"left": "left_calibration", "depth": "depth_calibration"
 """The calibration that frames of these roles can do with."""
 _STEREO: Final = {"right", "right_calibration"}
 _UNNAMED_TRUTH: Final = "no truth for steps and turns; a pose topic counts as truth only if you pass it"
+_GIVEN: Final = "the given calibration is used"
+_MOUNTED: Final = "the given mounting is used"
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,14 @@ def _choice(role: Role, topic: str, assignment: RoleAssignment, overrides: Mappi
     return "guessed" if role.name in assignment.guessed else "known"
 
 
+def with_given(states: Sequence[RoleState], cameras: Collection[str], *, mounted: bool) -> tuple[RoleState, ...]:
+    """The states if the user gives calibrations of these roles, and a mounting: a replay lacks nothing without them."""
+    given = dict.fromkeys(cameras, _GIVEN) | ({"tf": _MOUNTED} if mounted else {})
+    return tuple(
+        replace(state, cost=given[state.role]) if state.cost and state.role in given else state for state in states
+    )
+
+
 def _cost(role: str, assignment: RoleAssignment) -> str:
     """What a replay lacks without the role, given the other roles; empty for nothing."""
     there: Collection[str] = assignment.topics
@@ -126,7 +136,7 @@ def _cost(role: str, assignment: RoleAssignment) -> str:
         "image": ("left" not in there, "no images: no odometry"),
         "calibration": (
             _CALIBRATIONS.get(assignment.reference or "") not in there,
-            f"{stops}: the camera is unknown; see --calibration",
+            f"{stops}: the camera is unknown; pass --fov or --calibration",
         ),
         "left_calibration": ("left" in there, f"{stops}: left camera unknown"),
         "right_calibration": ("right" in there, "no stereo: the baseline is unknown"),

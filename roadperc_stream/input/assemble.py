@@ -102,9 +102,10 @@ def _camera(reference: Stamped, topics: Mapping[str, str]) -> Camera:
     if camera is None:
         frame_id = getattr(reference.payload, "frame_id", "")
         raise ChannelError(
-            f"{topics[role]}: camera {frame_id!r} has no calibration at {reference.stamp_ns} ns: expected a "
-            f"{ROLES[wanted].schema} on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC",
+            f"{topics[role]}: camera {frame_id!r} has no calibration at {reference.stamp_ns} ns: expected "
+            f"one on {ROLES[wanted].topic}, or --topic {wanted}=/TOPIC",
             WITHOUT_CALIBRATION,
+            "for a log without one",
         )
     return camera
 

@@ -218,7 +218,8 @@ class ReplayInput:
             sample = sample_of(self.cfg, paired, index, self.topics, self.plan.first.parent_of, self.plan.given)
         except ChannelError as error:
             known = (*self.plan.problems.first.values(), *self.plan.roles.unassigned, *self._if_in_other_files)
-            raise ChannelError("; ".join((f"{self.summary.path}: {error.args[0]}", *known)), error.option) from error
+            text = "; ".join((f"{self.summary.path}: {error.args[0]}", *known))
+            raise ChannelError(text, error.option, error.purpose) from error
         if "truth_pose" in paired and sample.truth.odom_T_ego is None:
             topic = self.topics["truth_pose"]
             text = f"{topic}: no transform connects the frame of its poses with ego: not used as truth"
@@ -230,7 +231,7 @@ class ReplayInput:
         """A hint for a log whose calibrations may be in another file."""
         if self.plan.continues or any(ROLES[role].kind == "calibration" for role in self.topics):
             return ()
-        return ("pass the earlier files of the log too, or pass --continue with the result of the previous one",)
+        return ("if an earlier file of the log has it, pass that file too, or --continue with its result",)
 
     def require_usable(self, result: FrameResult) -> None:
         """Check that all messages of a frame are usable, in a strict replay.

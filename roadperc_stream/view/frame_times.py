@@ -1,6 +1,7 @@
 """Finds the log time of a frame."""
 
 from dataclasses import dataclass
+from shlex import quote
 
 from roadperc_stream import log
 from roadperc_stream.errors import LogError
@@ -40,6 +41,7 @@ def find_stop(path: log.AnyLog, frame: int) -> Stop:
     """
     stops = frame_times(path)
     if frame not in stops:
-        known = f"expected {min(stops)} to {max(stops)}" if stops else "the log has no results"
+        without = f"the log has no results; run roadperc-replay {quote(str(path))} OUT.mcap first"
+        known = f"expected {min(stops)} to {max(stops)}" if stops else without
         raise LogError(f"{path}: no frame {frame}; {known}")
     return stops[frame]

@@ -98,6 +98,7 @@ def test_a_failure_names_the_frame_and_its_command(capsys, table, tmp_path):
         f"check: failed, 6 frames of 2 runs, {tmp_path / 'criteria.toml'}",
         "failed   lane_left_error_m max in 1 of 2 logs, worst out: 0.4 m, at most 0.2 m; coverage 80.0 %",
         f"         worst frame: {command}",
+        "passed   height",
         "skipped  step_error_m mean: no truth",
         "1 passed, 1 failed, 1 skipped",
     ]
@@ -222,7 +223,7 @@ def test_written_criteria_pass_on_their_runs_and_fail_on_worse_ones(sample, caps
     assert "\n  # lane_left_error_m: mean 0.0" in path.read_text()
     assert len(read_criteria(path)) > 60
     code, out, _ = outcome(check.main, capsys, sample, "--criteria", path)
-    assert (code, len(out.splitlines())) == (0, 2)
+    assert (code, len(out.splitlines())) == (0, 3)
     assert outcome(check.main, capsys, sample, "--init", path)[0] == 3
     assert outcome(check.main, capsys, sample, "--init", path, "--force")[0] == 0
     limit = 'metric = "lane_left_error_m", statistic = "max", most = 0.'

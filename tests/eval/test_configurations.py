@@ -59,6 +59,11 @@ def test_one_configuration_gives_no_table_and_two_versions_give_a_note():
     assert settings_table({"a": one, "b": other}).notes == ("none: the versions differ",)
 
 
+def test_the_source_of_an_own_stage_is_shown_by_the_first_digits_of_its_digest():
+    rows = differing([{"lanes.implementation_source": f"sha256 {digit * 64}"} for digit in "ab"])
+    assert rows == {"lanes.implementation_source": ("sha256 aaaaaaaa", "sha256 bbbbbbbb")}
+
+
 UNKNOWN_CONFIGURATION = "unknown, because a run has no configuration in its table"
 
 

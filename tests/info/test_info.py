@@ -150,6 +150,16 @@ def test_a_missing_role_is_printed_with_its_consequence(tmp_path, capsys, role):
     assert COSTS[role] in info(capsys, path)[1]
 
 
+def test_a_given_camera_is_no_longer_missing(tmp_path, capsys):
+    path = logs.write(tmp_path / "in.mcap", logs.items(3, roles=set(logs.ALL) - {"calibration", "tf"}))
+    text = " ".join(info(capsys, path, "--fov", "90", "--height", "1.5")[1].split())
+    assert "calibration missing: the given calibration is used" in text
+    assert "tf missing: the given mounting is used" in text
+    alone = " ".join(info(capsys, path, "--fov", "90")[1].split())
+    assert "calibration missing: the given calibration is used" in alone
+    assert "tf missing: the camera is assumed level" in alone
+
+
 def test_static_transforms_replace_transforms(tmp_path, capsys):
     items = [replace(item, topic="/tf_static" if item.role == "tf" else "") for item in logs.items(2)]
     path = logs.write(tmp_path / "in.mcap", items)

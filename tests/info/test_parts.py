@@ -66,7 +66,7 @@ def test_roles_are_assigned_over_all_files_of_a_log(parts, capsys):
     together = words_of(capsys, *parts).partition("As files of one log")[2]
     assert "calibration /camera/front/calibration" in together
     assert "missing" not in together
-    with pytest.raises(ChannelError, match=r"pass the earlier files of the log too, or pass --continue"):
+    with pytest.raises(ChannelError, match=r"pass that file too, or --continue"):
         replay(parts[1], parts[1].with_name("out.mcap"), config=CFG)
 
 

@@ -123,6 +123,6 @@ def test_a_missing_calibration_names_the_next_step(drive, tmp_path, capsys):
     part = write(tmp_path / "1.mcap", between(drive, 4, 8))
     assert main([str(part), str(tmp_path / "out.mcap")]) == 1
     said = capsys.readouterr().err
-    assert "or --topic calibration=/TOPIC; pass the earlier files" in said
-    assert "or pass --continue" in said
-    assert said.endswith("; pass --fov DEGREES or --calibration FILE\n")
+    assert "or --topic calibration=/TOPIC; if an earlier file of the log has it, pass that file too" in said
+    assert "or --continue with its result" in said
+    assert said.endswith("; pass --fov DEGREES or --calibration FILE for a log without one\n")

@@ -76,10 +76,12 @@ def test_depth_is_blue_far_red_near_and_black_if_unknown():
     assert unknown.tolist() == [0, 0, 0]
 
 
-def test_what_cannot_be_shown_is_one_line(bare, full, tmp_path, capsys):
+def test_what_cannot_be_shown_is_one_line(source, bare, full, tmp_path, capsys):
     target = tmp_path / "x.png"
     assert main([str(bare), "--frame", "9", "--png", str(target)]) == 1
     assert capsys.readouterr().err == f"error: {bare}: no frame 9; expected 0 to {FRAMES - 1}\n"
+    with pytest.raises(LogError, match=f"no frame 1; the log has no results; run roadperc-replay {source} OUT.mcap first"):
+        find_stop(source, 1)
     assert main([str(bare), "--frame", "1", "--png", str(target), "--topic", "/nope"]) == 1
     said = capsys.readouterr().err
     assert said.startswith(f"error: {bare}: no pictures on /nope; expected /perception/overlay or one of /camera/front")

@@ -7,6 +7,7 @@ its numbers and the legend.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final, Literal
 
 import cv2
@@ -152,18 +153,26 @@ def draw_frame(frame: PerceivedFrame, metrics: FrameMetrics, since_start_s: floa
 
     The picture has ``width_px`` columns; ``since_start_s`` are the seconds since the first frame.
     """
-    return draw_captioned(frame, (*frame_phrases(metrics, frame.objects, since_start_s), *LEGEND), width_px)
+    return draw_captioned(frame, tuple(frame_phrases(metrics, frame.objects, since_start_s)), width_px)
 
 
 def draw_captioned(frame: PerceivedFrame, phrases: Sequence[Phrase], width_px: int) -> Image:
-    """``draw_results`` with a strip of phrases at the top; the legend is left out if the image has no space for it."""
+    """``draw_results`` with a strip of phrases and the legend at the top, without the legend if it needs much space."""
     canvas = Canvas.resized(frame.image_bgr, width_px / frame.image_bgr.shape[1])
-    strip = lines_of(phrases, canvas)
+    strip = lines_of((*phrases, *legend_of(frame)), canvas)
     if len(strip) * canvas.row_px > _MOST_COVERED * canvas.size[1]:
-        strip = lines_of((phrase for phrase in phrases if phrase not in LEGEND), canvas)
+        strip = lines_of(phrases, canvas)
     _draw_into(canvas, frame, len(strip) * canvas.row_px)
     draw_strip(canvas.unscaled(), strip)
     return canvas.pixels
+
+
+def legend_of(frame: PerceivedFrame) -> Iterator[Phrase]:
+    """The legend of the results that the frame has."""
+    parts = (frame.drivable, LEGEND[:1]), (frame.lanes, LEGEND[1:4]), (frame.objects, LEGEND[4:])
+    for result, entries in parts:
+        if frame.fits and not isinstance(result, Absent):
+            yield from entries
 
 
 def draw_strip(canvas: Canvas, strip: Sequence[Sequence[tuple[int, Phrase]]]) -> None:
@@ -212,7 +221,11 @@ def frame_phrases(metrics: FrameMetrics, objects: Objects | Absent, since_start_
     yield Phrase(f"{since_start_s:.2f} s")
     yield from _lane("left", metrics.lane_left_status, metrics.lane_left_offset_m)
     yield from _lane("right", metrics.lane_right_status, metrics.lane_right_offset_m)
-    if not isinstance(objects, Absent):
+    if metrics.lane_left_status is None and metrics.lane_right_status is None:
+        yield from _why_absent("lanes", metrics)
+    if isinstance(objects, Absent):
+        yield from _why_absent("objects", metrics)
+    else:
         yield from _objects(objects.nearest, objects.most_urgent)
     yield from _odometry(metrics)
     if metrics.surface_source is not None:
@@ -223,6 +236,11 @@ def _lane(side: str, status: str | None, offset_m: float | None) -> Iterator[Phr
     if status is not None:
         text = status if offset_m is None else f"{offset_m:+.2f} m"
         yield Phrase(f"lane {side} {text}", bgr(colours.BOUNDARY.get(status, colours.GREY)))
+
+
+def _why_absent(stage: str, metrics: FrameMetrics) -> Iterator[Phrase]:
+    reasons = (Phrase(str(reason), bgr(colours.GREY)) for reason in metrics.reasons if reason.source == stage)
+    yield from islice(reasons, 1)
 
 
 def _objects(nearest: Object | None, urgent: Object | None) -> Iterator[Phrase]:

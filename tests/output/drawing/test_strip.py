@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roadperc_stream.model import Absent, Object, Objects, Reason
+from roadperc_stream.model import Absent, Lanes, Object, Objects, Reason
 from roadperc_stream.output.drawing import colours
 from roadperc_stream.output.drawing.canvas import Canvas
 from roadperc_stream.output.drawing.colours import bgr
@@ -15,6 +15,7 @@ from roadperc_stream.output.drawing.overlay import (
     draw_frame,
     draw_strip,
     frame_phrases,
+    legend_of,
     lines_of,
 )
 from roadperc_stream.schemas.columns import FrameMetrics
@@ -90,6 +91,20 @@ def test_a_status_replaces_a_missing_number(columns, text):
     assert words(FrameMetrics("log", 7, 0, **columns))[-1] == text
 
 
+def test_absent_results_have_a_reason_and_no_legend():
+    """The picture of a log with images alone says why nothing is drawn."""
+    row = replace(ROW, reasons=(Reason("lanes", "no_segmentation"), Reason("objects", "no_detections")))
+    assert [phrase.text for phrase in frame_phrases(row, NOTHING, 0.35)][2:] == [
+        "lanes: no segmentation",
+        "objects: no detections",
+    ]
+    image, absent = np.zeros((9, 9, 3), np.uint8), Absent(Reason("lanes", "no_segmentation"))
+    assert not list(legend_of(PerceivedFrame(image, absent, NOTHING, absent)))
+    drivable = PerceivedFrame(image, absent, NOTHING, np.zeros((9, 9), np.bool_))
+    assert [entry.text for entry in legend_of(drivable)] == ["drivable"]
+    assert tuple(legend_of(PerceivedFrame(image, Lanes(()), Objects(()), np.zeros((9, 9), np.bool_)))) == LEGEND
+
+
 def test_the_legend_has_every_colour_of_an_overlay():
     drawn = [*colours.OBJECT.values(), colours.RAW_LINE, colours.DRIVABLE]
     drawn += [colours.BOUNDARY[status] for status in ("measured", "held")]
@@ -123,7 +138,8 @@ def test_a_small_image_has_no_legend_which_would_cover_the_road():
     """The numbers are always there."""
     shaded = {}
     for rows, columns in ((270, 360), (960, 1280)):
-        frame = PerceivedFrame(np.full((rows, columns, 3), 255, np.uint8), *[Absent(Reason("lanes", "not_run"))] * 3)
+        results = Lanes(()), Objects(()), np.zeros((rows, columns), np.bool_)
+        frame = PerceivedFrame(np.full((rows, columns, 3), 255, np.uint8), *results)
         drawn = draw_frame(frame, FULL, 0.35, columns)
         shaded[rows] = int((drawn.min(axis=(1, 2)) < 255).sum()) / rows
     assert 0 < shaded[270] <= 0.15
