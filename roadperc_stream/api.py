@@ -201,17 +201,18 @@ def frames(
     """
     cfg, own = own_stages(_config(config))
     source = ReplaySource(_paths(log), topics or {}, TimeRange(start_s, end_s, max_frames), recover)
-    opened = open_log(source, cfg)
-    cfg = opened.input.cfg
-    chain, earlier = State(), None
-    for sample in opened.input.samples():
-        with one_thread():  # the same bits as in a replay, with any settings of the caller
-            frame = prepare(cfg, sample.frame, own=own)
-            chain, result = step(cfg, chain, frame, own=own)
-            row = frame_metrics(cfg, opened.input.log_id, sample, result, earlier)
-        earlier = sample.as_earlier
-        if sample.is_written:
-            yield LogFrame(frame, sample.truth, result, row)
+    with _arguments_in_errors():
+        opened = open_log(source, cfg)
+        cfg = opened.input.cfg
+        chain, earlier = State(), None
+        for sample in opened.input.samples():
+            with one_thread():  # the same bits as in a replay, with any settings of the caller
+                frame = prepare(cfg, sample.frame, own=own)
+                chain, result = step(cfg, chain, frame, own=own)
+                row = frame_metrics(cfg, opened.input.log_id, sample, result, earlier)
+            earlier = sample.as_earlier
+            if sample.is_written:
+                yield LogFrame(frame, sample.truth, result, row)
 
 
 class Chain:

@@ -13,6 +13,7 @@ import roadperc_stream as rp
 from roadperc_stream.input.arrays import depth_image
 from roadperc_stream.model import Object, Objects
 from roadperc_stream.output.tables import sidecar_path
+from tests import logs
 
 SAMPLE = Path(__file__).parents[1] / "logs" / "sample.mcap"
 CAMERA = rp.Camera("camera", 320, 240, 200.0, 200.0, 159.5, 119.5)
@@ -337,6 +338,13 @@ def test_arrays_are_written_drawn_and_stepped_as_one_frame(tmp_path):
     with pytest.raises(TypeError, match=r"draw: expected a result; pass rp\.draw\(frame, chain\.step\(frame\)\)"):
         rp.draw(frames[0])
     assert {path.name for path in tmp_path.iterdir()} == {"in.mcap"}
+
+
+def test_frames_name_the_argument_for_a_log_without_calibration(tmp_path):
+    path = logs.write(tmp_path / "in.mcap", logs.items(2, roles={"image"}))
+    with pytest.raises(rp.RoadpercError, match=r"pass config=\{\"calibration\": \{\"fov_deg\": DEGREES\}\} for a log"):
+        next(iter(rp.frames(path)))
+    assert next(iter(rp.frames(path, config={"calibration": {"fov_deg": 90}}))).metrics.frame == 0
 
 
 def test_a_frame_without_an_image_is_drawn_over_its_depth_else_over_black():

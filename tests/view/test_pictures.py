@@ -80,7 +80,7 @@ def test_what_cannot_be_shown_is_one_line(source, bare, full, tmp_path, capsys):
     target = tmp_path / "x.png"
     assert main([str(bare), "--frame", "9", "--png", str(target)]) == 1
     assert capsys.readouterr().err == f"error: {bare}: no frame 9; expected 0 to {FRAMES - 1}\n"
-    with pytest.raises(LogError, match=f"no frame 1; the log has no results; run roadperc-replay {source} OUT.mcap first"):
+    with pytest.raises(LogError, match=f"the log has no results; run roadperc-replay {source} OUT.mcap first"):
         find_stop(source, 1)
     assert main([str(bare), "--frame", "1", "--png", str(target), "--topic", "/nope"]) == 1
     said = capsys.readouterr().err
