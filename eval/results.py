@@ -17,7 +17,7 @@ from rich.console import Console
 from roadperc_stream.errors import TargetError
 from roadperc_stream.output.terminal import print_lines, print_table
 from roadperc_stream.output.text_table import Table, markdown_text
-from roadperc_stream.system.files import completing, real_path
+from roadperc_stream.system.files import completing, real_path, write_whole
 from roadperc_stream.system.text import shown
 
 Outcome = Literal["passed", "failed", "skipped", "error"]
@@ -96,7 +96,7 @@ class Results:
         if files.markdown is not None:
             _append(files.markdown, self._markdown(files.markdown.parent))
         if files.junit is not None:
-            _write(files.junit, _junit(f"roadperc-{self.command}", self.cases))
+            write_whole(files.junit, _junit(f"roadperc-{self.command}", self.cases))
 
     def _markdown(self, folder: Path) -> str:
         """A heading, a list of the lines, the pictures with paths relative to a folder, and the tables."""
@@ -119,7 +119,7 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     Raises:
         TargetError: the file cannot be written.
     """
-    _write(path, json.dumps(_plain(value), indent=2, allow_nan=False) + "\n")
+    write_whole(path, json.dumps(_plain(value), indent=2, allow_nan=False) + "\n")
 
 
 def _plain(value: Any) -> Any:
@@ -164,8 +164,3 @@ def _junit(suite: str, cases: Sequence[Case]) -> str:
                 element.set("message", element.text.partition("\n")[0])
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def _write(path: Path, text: str) -> None:
-    with completing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

@@ -17,7 +17,7 @@ from roadperc_stream.errors import NoFrameError, TableError
 from roadperc_stream.input import ReplaySource
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas.topics import METRICS_TOPIC, STAGES, switched_off
-from roadperc_stream.system.files import completing
+from roadperc_stream.system.files import write_whole
 from roadperc_stream.system.time import NS_PER_S, TimeRange, ns_to_seconds
 
 from ..check.judging import Result, judge
@@ -87,8 +87,7 @@ class ExcerptReplays:
         key = hashlib.sha256(repr(facts).encode()).hexdigest()
         if key not in self._known:
             self._known[key] = asdict(self._replayed(cfg, window))
-            with completing(self.kept_verdicts) as temporary:
-                temporary.write_text(json.dumps(self._known))
+            write_whole(self.kept_verdicts, json.dumps(self._known))
         return ReplayVerdict(**self._known[key])
 
     def write(self, cfg: ReplayConfig, window: Window) -> Result | None:

@@ -7,7 +7,7 @@ from typing import Final
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.schemas.columns import UNITLESS
-from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.files import require_free, write_whole
 from roadperc_stream.system.text import listed, number
 
 from ..compare.metrics import COVERAGE_RELEVANT, METRICS, Metric
@@ -47,8 +47,7 @@ def write_criteria(path: Path, runs: Sequence[Run], *, force: bool) -> int:
     known = [len(run.findings) for run in runs if run.findings is not None]
     findings = f'  {{ statistic = "findings", most = {max(known)} }},\n' if known else ""
     head = _HEAD.format(frames=frames, names=names, margin=_MARGIN, findings=findings)
-    with completing(path, force=force) as temporary:
-        temporary.write_text(head + "".join(lines) + "]\n", encoding="utf-8")
+    write_whole(path, head + "".join(lines) + "]\n", force=force)
     return len(lines)
 
 

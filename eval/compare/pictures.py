@@ -14,7 +14,7 @@ from roadperc_stream.input.stream import Problems
 from roadperc_stream.model import Image
 from roadperc_stream.output.drawing.overlay import PerceivedFrame, Phrase, draw_captioned
 from roadperc_stream.output.terminal import frame_progress
-from roadperc_stream.system.files import completing, scratch_folder, target_errors
+from roadperc_stream.system.files import scratch_folder, write_whole
 from roadperc_stream.system.progress import Progress
 from roadperc_stream.view.result_frames import read_frame
 
@@ -23,7 +23,6 @@ from ..replaying import Part, replayed
 from ..runs import Run
 from .comparison import Comparison
 from .summary import values_at
-from .verdicts import Place
 
 _HALF_PX: Final = 640
 _GAP_PX: Final = 6
@@ -45,8 +44,6 @@ def draw_worst(found: Comparison, folder: Path) -> Pictures:
     places, files, notes = found.worst_places, list[tuple[str, Path]](), list[str]()
     if not places:
         return files, ["no pictures: no frame is worse"]
-    with target_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     with scratch_folder(Path(gettempdir(), "roadperc-pictures")) as scratch, frame_progress("drawing", True) as bar:
         for rank, place in enumerate(places, 1):
             halves, (values, unit) = [], values_at(place)
@@ -57,16 +54,12 @@ def draw_worst(found: Comparison, folder: Path) -> Pictures:
                 measured = Phrase(f"{side}: {place.metric.label} {value}{unit}")
                 phrases = measured, Phrase(f"frame {place.frame}")
                 halves.append(None if seen is None else draw_captioned(seen, phrases, _HALF_PX))
-            name = f"{rank}_{_NOT_IN_NAMES.sub('-', place.pair.name)}_frame_{place.frame}.jpg"
+            path = folder / f"{rank}_{_NOT_IN_NAMES.sub('-', place.pair.name)}_frame_{place.frame}.jpg"
             if any(half is not None for half in halves):
-                _write(folder / name, halves)
-                files.append((_caption(place), folder / name))
+                _write(path, halves)
+                label = f"{place.metric.label} {values}{unit}"
+                files.append((f"frame {place.frame} of {place.pair.name}: {label}; base left, new right", path))
     return files, notes
-
-
-def _caption(place: Place) -> str:
-    label = f"{place.metric.label} {''.join(values_at(place))}"
-    return f"frame {place.frame} of {place.pair.name}: {label}; base left, new right"
 
 
 def _seen(run: Run, stamp_ns: int, scratch: Path, bar: Progress) -> tuple[PerceivedFrame | None, list[str]]:
@@ -94,5 +87,4 @@ def _write(path: Path, halves: list[Image | None]) -> None:
     for left_px, half in zip((0, _HALF_PX + _GAP_PX), halves, strict=True):
         if half is not None:
             whole[: half.shape[0], left_px : left_px + _HALF_PX] = half
-    with completing(path) as temporary:
-        temporary.write_bytes(encode_jpeg(whole, _JPEG_QUALITY))
+    write_whole(path, encode_jpeg(whole, _JPEG_QUALITY))

@@ -9,13 +9,14 @@ from roadperc_stream.errors import RoadpercError
 from roadperc_stream.output.drawing.canvas import Canvas
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.output.text_table import Table
+from roadperc_stream.system.files import write_whole
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.text import number
 from roadperc_stream.view.frame_times import find_stop
 from roadperc_stream.view.pictures import picture_of
 
 from ..dataset.keys import LogKey
-from ..html.page import render, save
+from ..html.page import render
 from ..html.pictures import data_uri
 from ..replaying import shown
 from ..runs import Run
@@ -44,7 +45,7 @@ def write_gallery(
             progress(place, len(drawn))
     notes = [f"The page shows the worst {DRAWN} of {count}."] if len(events) > DRAWN else []
     page = {"stages": Table("", (), ()), "events": cards, "peak": peak, "notes": notes}
-    save(target, render([title], [("unchanged", count)], [], **page))
+    write_whole(target, render([title], [("unchanged", count)], [], **page))
 
 
 def _picture(event: Event, run: Run, changed: Sequence[str]) -> tuple[str, str]:

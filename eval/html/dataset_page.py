@@ -8,7 +8,7 @@ from typing import Final
 import polars as pl
 
 from roadperc_stream.output.text_table import Table
-from roadperc_stream.system.files import require_suffix
+from roadperc_stream.system.files import require_suffix, write_whole
 from roadperc_stream.system.text import number
 
 from ..compare.verdicts import Mark
@@ -23,7 +23,7 @@ from ..report.stages import stages_of
 from ..report.summaries import summarise
 from ..report.worst_logs import WorstLogs
 from ..report_columns import Quantity, with_unit
-from .page import render, save, write_page
+from .page import render, write_page
 from .verdict import single_sentence, size
 
 PAGES: Final = 10
@@ -82,7 +82,7 @@ def write_dataset_page(target: Path, dataset: Dataset, source: FrameSource, runs
         (_failed_table(failed, several), failed_links),
         (_worst_table(worst), links),
     ]
-    save(target, render([dataset.name], verdicts, tables, stages=stages_of(summaries)))
+    write_whole(target, render([dataset.name], verdicts, tables, stages=stages_of(summaries)))
 
 
 def worst_of(logs: WorstLogs, several: bool) -> list[BadLog]:
@@ -126,7 +126,7 @@ def _write_failed(folder: Path, failed: pl.DataFrame, several: bool) -> dict[str
         facts = [(name, _fact(item[name])) for name in _FACTS if item.get(name)]
         table = Table("Run", ("value",), tuple(facts), last_is_text=True)
         said = f"{item['status']}: {reason_of_failure(item['path'], item['error'])}"
-        save(folder / f"failed_{place}.html", render([item["path"]], [("worse", said)], [], stages=table))
+        write_whole(folder / f"failed_{place}.html", render([item["path"]], [("worse", said)], [], stages=table))
         links[_name(item["path"], item["config"], several)] = f"{folder.name}/failed_{place}.html"
     return links
 

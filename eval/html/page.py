@@ -15,7 +15,7 @@ from plotly.offline import get_plotlyjs
 
 from roadperc_stream.errors import TableError
 from roadperc_stream.output.text_table import Table, values_of_subjects
-from roadperc_stream.system.files import completing, require_suffix
+from roadperc_stream.system.files import require_suffix, write_whole
 from roadperc_stream.system.text import listed, shown
 
 from ..compare.comparison import Comparison
@@ -36,7 +36,7 @@ from .charts import ERROR_COLUMNS, POSE_COLUMNS, SCALE_COLUMNS, distributions, p
 from .figures import Figure, load_series
 from .known_plots import poses_over_time, precision_recall
 from .over_time import COLUMNS, over_time, stage_times
-from .pictures import WORST, Command, Gallery, Key, frames_of, gallery, log_of
+from .pictures import WORST, Command, Gallery, Key, drawn_from_log, frames_of, gallery, log_of
 from .verdict import Ranked, bars, comparison_of, place_text, ranked_frames, sentence, single_sentence
 
 RUNS_DRAWN: Final = 8
@@ -85,17 +85,7 @@ def write_page(target: Path, runs: Sequence[Run], command: Command = view_comman
         TargetError: the page cannot be written, or has another suffix.
     """
     require_suffix(target, ".html", ".htm")
-    save(target, _page(runs, command))
-
-
-def save(target: Path, text: str) -> None:
-    """Write a page, as a partial file until it is complete.
-
-    Raises:
-        TargetError: the page cannot be written.
-    """
-    with completing(target) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_whole(target, _page(runs, command))
 
 
 def _page(runs: Sequence[Run], command: Command) -> str:
@@ -163,11 +153,11 @@ class Lead:
 
 def _middle(run: Run, command: Command) -> Lead | None:
     """The frame in the middle of a log in which no frame is bad or judged; None if the log has no image of it."""
-    found = frames_of(run, pl.int_range(pl.len()) == pl.len() // 2)
-    pictures = gallery(found, [run], command).pictures if found else {}
-    is_there = any(picture.image for key, picture in pictures.items() if key == (run.name, found[0].frame))
-    text = f"frame {found[0].frame}, in the middle of the log" if found else ""
-    return Lead(text, tuple(found), command(run, found[0].frame), is_worst=False) if is_there else None
+    for frame in frames_of(run, pl.int_range(pl.len()) == pl.len() // 2):
+        if drawn_from_log([frame], (), run.table_of(frame.frame), bool)[0]:
+            text = f"frame {frame.frame}, in the middle of the log"
+            return Lead(text, (frame,), command(run, frame.frame), is_worst=False)
+    return None
 
 
 def _lead(compared: Comparison | None, ranked: Sequence[Ranked], runs: Sequence[Run], command: Command) -> Lead | None:

@@ -48,11 +48,8 @@ def mean_error(error: Float, score: Float, confidence: Float) -> float:
         score: (H,) its score, falling.
         confidence: (101,) score at each recall.
     """
-    reached = np.flatnonzero(confidence)
-    if not len(reached) or reached[-1] < _FIRST:
-        return 1.0
-    known = ~np.isnan(error)
-    if not known.any():
+    reached, known = np.flatnonzero(confidence), ~np.isnan(error)
+    if not len(reached) or reached[-1] < _FIRST or not known.any():
         return 1.0
     sums, counts = np.cumsum(np.where(known, error, 0.0)), np.cumsum(known)
     mean = np.divide(sums, counts, out=np.zeros_like(sums), where=counts > 0)

@@ -3,9 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import reduce
 from math import inf
-from operator import add
 from typing import Final
 
 import numpy as np
@@ -40,25 +38,24 @@ class ObjectTally:
     """What the figures follow from; the tallies of several logs can be added.
 
     ``truths`` counts the true objects by class and ring, ``found`` has the detections by class. ``impacts`` counts the
-    true objects of each of ``BANDS_S``, and ``detected`` those with a detection. ``tracks`` is None without ids.
+    true objects of each of ``BANDS_S``, and ``detected`` those with a detection. ``tracks`` is empty without ids.
     """
 
     truths: Counter[tuple[str, str]] = field(default_factory=Counter)
     found: Mapping[str, tuple[Detections, ...]] = field(default_factory=dict)
     impacts: Counter[str] = field(default_factory=Counter)
     detected: Counter[str] = field(default_factory=Counter)
-    tracks: TrackSums | None = None
+    tracks: TrackSums = field(default_factory=TrackSums)
 
     def __add__(self, other: "ObjectTally") -> "ObjectTally":
         """The tally over both."""
         names = dict.fromkeys((*self.found, *other.found))
-        known = [tracks for tracks in (self.tracks, other.tracks) if tracks is not None]
         return ObjectTally(
             self.truths + other.truths,
             {name: (*self.found.get(name, ()), *other.found.get(name, ())) for name in names},
             self.impacts + other.impacts,
             self.detected + other.detected,
-            reduce(add, known) if known else None,
+            self.tracks + other.tracks,
         )
 
     @property
@@ -126,7 +123,7 @@ def tally_of(scene: Scene) -> ObjectTally:
         {name: (of.found,) for name, of in scene.classes.items()},
         +Counter({band: int(rows.sum()) for band, rows in in_band.items()}),
         +Counter({band: int((rows & scene.impacts.detected).sum()) for band, rows in in_band.items()}),
-        sum(map(_track_sums, scene.classes.values()), TrackSums()) if scene.has_tracks else None,
+        sum(map(_track_sums, scene.classes.values()), TrackSums()) if scene.has_tracks else TrackSums(),
     )
 
 
@@ -166,8 +163,7 @@ def figures(tally: ObjectTally) -> Iterator[tuple[str, float]]:
             yield "objects_ate_m", float(np.mean([found.off_m for found in by_class.values()]))
             yield "objects_ave_mps", float(np.mean([found.off_mps for found in by_class.values()]))
     yield from ((f"objects_recall.{band}", tally.detected[band] / true) for band, true in tally.impacts.items())
-    if tally.tracks is not None:
-        yield from ((f"tracks_{name}", value) for name, value in tally.tracks.figures.items())
+    yield from ((f"tracks_{name}", value) for name, value in tally.tracks.figures.items())
 
 
 def parts_of(logs: int) -> int:

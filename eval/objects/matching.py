@@ -87,7 +87,7 @@ def _rank_in_frame(found: Codes, frame: Codes) -> Codes:
 def alone(pairs: Pairs) -> Mask:
     """(P,) whether a pair is the only one of its true object and of its detection."""
     true, found, _ = pairs
-    alone: Mask = (np.bincount(true)[true] == 1) & (np.bincount(found)[found] == 1) if len(true) else np.zeros(0, bool)
+    alone: Mask = (np.bincount(true)[true] == 1) & (np.bincount(found)[found] == 1)
     return alone
 
 

@@ -35,7 +35,7 @@ def object_tables(tallies: Mapping[str, ObjectTally]) -> Iterator[Table]:
     }
     headers = ("true", "AP", *(f"{limit_m:g} m" for limit_m in MATCHES_M), "ATE m", "AVE m/s")
     yield from _table("Detection", headers, found, several, _ABOUT_AP)
-    tracks = {subject: _tracks(tally) for subject, tally in shown.items() if tally.tracks and tally.tracks.true}
+    tracks = {subject: _tracks(tally) for subject, tally in shown.items() if tally.tracks.true}
     headers = ("HOTA", "DetA", "AssA", "MOTA", "IDF1", "IDSW")
     yield from _table("Tracks", headers, {"all classes": tracks} if tracks else {}, several, _ABOUT_TRACKS)
     impacts = {
@@ -63,5 +63,4 @@ def _detection(found: Detected) -> Row:
 
 
 def _tracks(tally: ObjectTally) -> Row:
-    assert tally.tracks is not None
     return *(f"{value:.3f}" for value in tally.tracks.figures.values()), str(tally.tracks.switched)

@@ -43,10 +43,10 @@ def hota_matches(pairs: Pairs, true: Sighted, found: Sighted) -> Mask:
     The value of ``pairs`` is their similarity.
     """
     i, k, alike = pairs
-    share = alike / (np.bincount(i, alike)[i] + np.bincount(k, alike)[k] - alike) if len(i) else alike
+    share = alike / (np.bincount(i, alike)[i] + np.bincount(k, alike)[k] - alike)
     number, both = _numbers(true.track[i], found.track[k])
     together = np.bincount(number, share, len(both))
-    lengths = np.bincount(true.track)[both[:, 0]] + np.bincount(found.track)[both[:, 1]] if len(i) else together
+    lengths = np.bincount(true.track)[both[:, 0]] + np.bincount(found.track)[both[:, 1]]
     agreement = together / (lengths - together)
     return one_to_one(Pairs(i, k, agreement[number] * alike), true.frame[i])
 

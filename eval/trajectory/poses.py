@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from roadperc_stream.errors import TableError
 from roadperc_stream.geometry import Float, inverse
 from roadperc_stream.geometry.rotations import quaternion, rotations_from_quaternions
-from roadperc_stream.system.files import completing
+from roadperc_stream.system.files import write_whole
 from roadperc_stream.system.time import NS_PER_S
 
 from ..runs import Run, collect
@@ -141,8 +141,7 @@ def export(folder: Path, run: RunPoses, suffix: PoseFormat) -> None:
         for kind, poses in (("est", part.estimated), ("true", part.true)):
             if poses is not None:
                 lines = tum_lines(part.stamps_ns, poses) if suffix == "tum" else kitti_lines(poses)
-                with completing(folder / f"{name}.{kind}.{suffix}") as temporary:
-                    temporary.write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
+                write_whole(folder / f"{name}.{kind}.{suffix}", "".join(f"{line}\n" for line in lines))
 
 
 def tum_lines(stamps_ns: NDArray[np.int64], poses: Float) -> list[str]:

@@ -17,7 +17,7 @@ from roadperc_stream.config.settings import read_toml
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.info.examine import examine
 from roadperc_stream.info.measures import Measures, Readings
-from roadperc_stream.system.files import completing
+from roadperc_stream.system.files import write_whole
 from roadperc_stream.system.text import in_brief, listed, nearest, number, shown
 from roadperc_stream.system.time import ns_to_seconds
 
@@ -307,8 +307,7 @@ def write_contract(path: Path, contract: Contract, names: Sequence[str], *, forc
     lines = [_HEAD.format(names=what), "[log]", *map(_line, contract.log.items())]
     for topic, limits in contract.topics.items():
         lines += ["", f"[topics.{_toml(topic)}]", *map(_line, limits.items())]
-    with completing(path, force=force) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(lines) + "\n", force=force)
 
 
 def _line(item: tuple[str, Limit]) -> str:

@@ -12,7 +12,7 @@ from roadperc_stream.model.tag_tables import classes_of_label
 from roadperc_stream.schemas.columns import FrameKey, ObjectMetrics
 from roadperc_stream.schemas.columns.errors import ObjectErrorColumns, TrueImpactColumns, TrueObjectColumns
 from roadperc_stream.schemas.columns.estimates import ObjectColumns
-from roadperc_stream.schemas.columns.places import FramePlaces, ObjectPlaceColumns, TrueObject, TrueObjectListColumns
+from roadperc_stream.schemas.columns.places import FramePlaces, ObjectPlaceColumns, TrueObject
 
 _COLUMNS: Final = frozenset(ObjectMetrics.__dataclass_fields__)
 _TRUE: Final = ("distance_m", "closing_speed_mps", "lateral_m", "in_path")
@@ -27,13 +27,10 @@ def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> tuple[tu
     truth = sample.truth.objects
     partners = true_partners(objects, truth)
     pairs = list(zip(objects, partners, strict=True))
-    rows = tuple(
-        _object_row(log_id, sample, item, partner, None if truth is None else partner is not None)
-        for item, partner in pairs
-    )
+    rows = tuple(_object_row(log_id, sample, *pair, None if truth is None else pair[1] is not None) for pair in pairs)
     detected = {id(partner) for item, partner in pairs if item.kept and item.status == "measured"}
     true = None if truth is None else _true_objects(sample.frame, truth.objects, detected)
-    return rows, FramePlaces(_places(sample.frame, objects), TrueObjectListColumns(true))
+    return rows, FramePlaces(_places(sample.frame, objects), true)
 
 
 def _object_row(

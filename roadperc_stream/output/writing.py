@@ -18,7 +18,7 @@ from roadperc_stream.output.results import result_channel, result_messages
 from roadperc_stream.output.tables import TableWriter, config_text, table_facts
 from roadperc_stream.output.target import ReplayTarget
 from roadperc_stream.schemas import record
-from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics, ObjectMetrics, cells
+from roadperc_stream.schemas.columns import EXTRA_COLUMNS, FrameMetrics, ObjectMetrics
 from roadperc_stream.schemas.columns.hindsight import TRACK_HINDSIGHT
 from roadperc_stream.schemas.columns.places import OBJECT_PLACE, TRUE_OBJECTS, FramePlaces
 from roadperc_stream.schemas.record import CONFIG_ATTACHMENT, METADATA_RECORD, OWN_ATTACHMENTS
@@ -224,9 +224,11 @@ class Outputs:
         self._contradictions.add(output.row, output.evidence)
         self._hindsight.add(output.claims)
         self._reasons = merged((self._reasons, of_frame(output.row.reasons)))
-        self._frames.append(output.row, **output.times_ms, **cells(output.places.truth))
+        true = output.places.true_objects
+        listed = {TRUE_OBJECTS: None if true is None else [vars(item) for item in true]}
+        self._frames.append(output.row, **output.times_ms, **listed)
         for item, place in zip(output.objects, output.places.objects, strict=True):
-            self._objects.append(item, **cells(place))
+            self._objects.append(item, **vars(place))
 
     def end(self, facts: Mapping[str, str], states: Iterable[Attachment]) -> None:
         """Copy the rest of the input, and record how the output was made.

@@ -236,6 +236,16 @@ def completing(target: Path, *, force: bool = True, mark: str = "") -> Iterator[
             temporary.unlink(missing_ok=True)
 
 
+def write_whole(target: Path, content: bytes | str, *, force: bool = True) -> None:
+    """Write a file, texts in UTF-8; it gets its name when it is complete.
+
+    Raises:
+        TargetError: as ``completing``.
+    """
+    with completing(target, force=force) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
 @contextmanager
 def completing_folder(target: Path, keep: Callable[[Path], bool] = lambda _: False) -> Iterator[Path]:
     """A hidden folder, which replaces the target if the block ends without an error.

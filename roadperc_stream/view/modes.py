@@ -6,9 +6,11 @@ from pathlib import Path
 from shlex import quote
 
 from roadperc_stream import log
+from roadperc_stream.formats.images import encode_png
 from roadperc_stream.input.source import warnings_of
 from roadperc_stream.output.terminal import frame_progress
 from roadperc_stream.schemas.topics import TIMES_TOPIC
+from roadperc_stream.system.files import require_free, write_whole
 from roadperc_stream.system.text import number, print_line
 from roadperc_stream.system.time import ns_to_seconds
 from roadperc_stream.view.differences import find_differences
@@ -16,7 +18,7 @@ from roadperc_stream.view.frame_times import Stop
 from roadperc_stream.view.layout.filling import write_layout
 from roadperc_stream.view.live import PlaybackOptions
 from roadperc_stream.view.live.serving import log_with_times, serve_log
-from roadperc_stream.view.pictures import write_picture
+from roadperc_stream.view.pictures import picture_of
 from roadperc_stream.view.video import write_video
 
 
@@ -60,14 +62,17 @@ def lay_out(
 
 
 def save_picture(source: log.AnyLog, stop: Stop, topic: str, target: Path, *, force: bool, quiet: bool) -> None:
-    """Write the picture of a frame.
+    """Write the picture of a frame on a topic as a PNG.
 
     Raises:
-        RoadpercError: as ``write_picture``.
+        LogError: as ``picture_of``.
+        TargetError: ``target`` exists and ``force`` is not set, or it cannot be written.
     """
-    columns, rows = write_picture(source, stop, topic, target, force=force)
+    require_free(target, force=force, source=log.LogFile.of(source).name, suffix=".png")
+    picture = picture_of(source, stop, topic)
+    write_whole(target, encode_png(picture), force=force)
     if not quiet:
-        print_line(f"wrote {target} ({columns}x{rows}, {topic} of frame {stop.frame})")
+        print_line(f"wrote {target} ({picture.shape[1]}x{picture.shape[0]}, {topic} of frame {stop.frame})")
 
 
 def record_video(source: log.AnyLog, target: Path, topic: str, *, force: bool, quiet: bool) -> None:

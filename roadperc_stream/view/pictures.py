@@ -3,12 +3,10 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from roadperc_stream import log
 from roadperc_stream.errors import ChannelError, LogError
-from roadperc_stream.formats import images
 from roadperc_stream.input.decoding import context_of_channel, decode, schemas_of_kind
 from roadperc_stream.input.earlier_replay import is_result, is_result_of
 from roadperc_stream.input.roles import assignment_of_log
@@ -21,7 +19,6 @@ from roadperc_stream.output.drawing.overlay import PerceivedFrame, draw_frame
 from roadperc_stream.schemas.columns import FrameMetrics
 from roadperc_stream.schemas.roles import Kind
 from roadperc_stream.schemas.topics import METRICS_TOPIC, ON_REQUEST, OVERLAY_TOPIC, STEREO_DEPTH_TOPIC
-from roadperc_stream.system.files import completing, require_free
 from roadperc_stream.system.text import listed
 from roadperc_stream.system.time import ns_to_seconds
 from roadperc_stream.view.frame_times import Stop
@@ -30,19 +27,6 @@ from roadperc_stream.view.result_frames import LATENESS_NS, content_of, read_fra
 Shot = Callable[[], Image | None]
 """Decodes or draws the (H, W, 3) picture of a frame; None if it cannot be read."""
 _SCHEMAS: Final = (*schemas_of_kind("image"), *schemas_of_kind("depth"))
-
-
-def write_picture(source: log.AnyLog, stop: Stop, topic: str, target: Path, *, force: bool = False) -> tuple[int, int]:
-    """Write the picture of a frame as a PNG; returns its columns and rows. Arguments and errors as ``picture_of``.
-
-    Raises:
-        TargetError: ``target`` exists and ``force`` is not set, or it cannot be written.
-    """
-    require_free(target, force=force, source=log.LogFile.of(source).name, suffix=".png")
-    picture = picture_of(source, stop, topic)
-    with completing(target, force=force) as temporary:
-        temporary.write_bytes(images.encode_png(picture))
-    return picture.shape[1], picture.shape[0]
 
 
 def picture_of(source: log.AnyLog, stop: Stop, topic: str = OVERLAY_TOPIC) -> Image:

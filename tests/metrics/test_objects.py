@@ -139,7 +139,7 @@ def test_a_true_object_knows_whether_a_kept_detection_of_the_frame_matches_it():
     sample, result = sample_and_result(objects=Objects(tuple(cars)))
     found = Objects((seen, replace(dropped, kept=False), replace(carried, status="tracked")))
     places = m.object_metrics("id", sample, replace(result, objects=found))[1]
-    assert [item.detected for item in places.truth.true_objects] == [True, False, False, False]
-    assert [item.id for item in places.truth.true_objects] == ["car 0", "car 20", "car 40", "car 60"]
+    assert [item.detected for item in places.true_objects] == [True, False, False, False]
+    assert [item.id for item in places.true_objects] == ["car 0", "car 20", "car 40", "car 60"]
     without, result = sample_and_result()
-    assert m.object_metrics("id", without, result)[1].truth.true_objects is None
+    assert m.object_metrics("id", without, result)[1].true_objects is None

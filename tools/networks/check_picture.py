@@ -10,7 +10,7 @@ import numpy as np
 from roadperc_stream.errors import ConfigError
 from roadperc_stream.formats.images import decode_bgr, encode_png
 from roadperc_stream.model import Image
-from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.files import require_free, write_whole
 from roadperc_stream.system.text import print_line
 from roadperc_stream.system.threads import in_order, one_thread
 
@@ -43,8 +43,7 @@ def check(description: Path, image: Path, out: Path, *, force: bool) -> None:
         rows = list(in_order(lambda each: _row(*each, bgr), seen, 1))
     width = max(row.shape[1] for row in rows)
     picture = np.vstack([np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0))) for row in rows])
-    with completing(out, force=force) as partial:
-        partial.write_bytes(encode_png(picture))
+    write_whole(out, encode_png(picture), force=force)
     print_line(f"left: the network's input; right: its results; below: with the other order of colours: {out}")
 
 

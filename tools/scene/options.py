@@ -17,8 +17,8 @@ Exposure = Literal["steps", "frames", "blackouts"]
 SceneName = Literal["straight", "bend", "hill", "town"]
 SCENES: Final[tuple[str, ...]] = get_args(SceneName)
 SENSORS: Final = ("rgb", "depth", "segmentation", "right")
-TRUTH: Final = "truth"
 """Cameras; each has a folder of its name."""
+TRUTH: Final = "truth"
 MOST_ASIDE_DEG: Final = 80.0
 """Largest angle of view rays from straight ahead over hills: rays must advance along the world's x axis."""
 WINDING_ASIDE_DEG: Final = 56.0

@@ -7,7 +7,6 @@ from roadperc_stream.model.reason import Reason
 from roadperc_stream.schemas.columns import errors, estimates
 from roadperc_stream.schemas.columns.column import RATIO, Column
 from roadperc_stream.schemas.columns.hindsight import FRAME_HINDSIGHT
-from roadperc_stream.schemas.columns.places import TRUE_OBJECTS
 
 TIMED_STAGES: Final = (
     *("read", "decode", "surface", "lanes", "objects", "stereo", "odometry", "occupancy"),
@@ -81,11 +80,7 @@ class FrameMetrics(
 def cells(row: Any) -> dict[str, Any]:
     """Return the values of a row by column, as tables and messages store them."""
     values: dict[str, Any] = vars(row)
-    if "reasons" in values:
-        return values | {"reasons": [reason.stored for reason in values["reasons"]]}
-    if values.get(TRUE_OBJECTS) is not None:
-        return {TRUE_OBJECTS: [vars(item) for item in values[TRUE_OBJECTS]]}
-    return values
+    return values | {"reasons": [reason.stored for reason in values["reasons"]]} if "reasons" in values else values
 
 
 _NOT_TRACKED = "too few distances, or contradicting ones"

@@ -53,7 +53,7 @@ class FramePlaces:
     """The places of a frame's detections, in the order of their rows, and its true objects."""
 
     objects: tuple[ObjectPlaceColumns, ...] = ()
-    truth: TrueObjectListColumns = TrueObjectListColumns()
+    true_objects: tuple[TrueObject, ...] | None = None
 
 
 (TRUE_OBJECTS,) = columns_of(TrueObjectListColumns)

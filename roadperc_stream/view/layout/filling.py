@@ -10,7 +10,7 @@ from typing import Any, Final
 from roadperc_stream.log import AnyLog, LogFile
 from roadperc_stream.schemas import topics
 from roadperc_stream.schemas.roles import ROLES
-from roadperc_stream.system.files import completing, require_free
+from roadperc_stream.system.files import require_free, write_whole
 from roadperc_stream.view.layout.contents import OF_A_LIVE_REPLAY, LogContents, contents_of
 
 Config = dict[str, Any]
@@ -53,8 +53,7 @@ def write_layout(
     has = contents_of(source, overrides or {}) if source else OF_A_LIVE_REPLAY
     if timed:
         has = replace(has, results=has.results | {topics.TIMES_TOPIC})
-    with completing(target, force=force) as temporary:
-        temporary.write_text(layout_of(has), "utf-8")
+    write_whole(target, layout_of(has), force=force)
 
 
 def layout_of(has: LogContents) -> str:
