@@ -337,6 +337,10 @@ def test_arrays_are_written_drawn_and_stepped_as_one_frame(tmp_path):
         rp.write_log(tmp_path / "none.mcap", [])
     with pytest.raises(TypeError, match=r"draw: expected a result; pass rp\.draw\(frame, chain\.step\(frame\)\)"):
         rp.draw(frames[0])
+    with pytest.raises(
+        rp.RoadpercError, match=r"none\.mcap: frame with stamp -1 ns, expected 0 to 18446744073709551615"
+    ):
+        rp.write_log(tmp_path / "none.mcap", [chain.frame(-1, image=image)])
     assert {path.name for path in tmp_path.iterdir()} == {"in.mcap"}
 
 

@@ -193,7 +193,7 @@ def record(paths: Sequence[Path], overrides: Mapping[str, str], cfg: ReplayConfi
     readings: dict[str, list[Any]] = {
         "duration_s": [sum(facts.span_s for facts in files)],
         "segments": [max(facts.replay.segments for facts in files)],
-        "late": [sum(f.log_times_back for f in files) / max(sum(f.messages for f in files), 1)],
+        "late": [measures.late / max(measures.inputs, 1)],
         "damages": [len(damages)],
         "findings": list(findings),
     }
@@ -331,4 +331,7 @@ def read_contract(path: Path) -> Contract:
         return Contract.model_validate(read_toml(path))
     except ValidationError as error:
         first = error.errors()[0]
-        raise ConfigError(f"{path}: {': '.join(filter(None, (key_of(first['loc']), complaint(first))))}") from error
+        why = complaint(first)
+        if first["type"].startswith("bool"):  # the first kind of a limit
+            why = f"expected a number, two numbers, a list of names, or true or false, found {in_brief(first['input'])}"
+        raise ConfigError(f"{path}: {': '.join(filter(None, (key_of(first['loc']), why)))}") from error

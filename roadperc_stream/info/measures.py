@@ -77,9 +77,8 @@ class TopicMeasures:
         """Measure a decoded message."""
         at_ns, payload, before_ns = item.log_time_ns, item.payload, self._stamp_ns
         self._stamp_ns, self.decoded = item.stamp_ns, self.decoded + 1
-        if before_ns is not None:
-            self._counts["stamps_back"] += item.stamp_ns < before_ns
-            self._counts["stamps_repeated"] += item.stamp_ns == before_ns
+        self._counts["stamps_back"] += before_ns is not None and item.stamp_ns < before_ns
+        self._counts["stamps_repeated"] += item.stamp_ns == before_ns
         if not item.is_latched:
             self.see("gap_s", ns_to_seconds(item.stamp_ns - (before_ns or item.stamp_ns)), at_ns)
             self.see("latency_s", ns_to_seconds(at_ns - item.stamp_ns), at_ns)
@@ -158,15 +157,21 @@ class Measures:
         self.files: list[LogFacts] = []
         self.references: list[str] = []
         """Topics whose messages make the frames."""
+        self.inputs = self.late = 0
+        """Messages of the input, and those after one with a later log time in their file."""
+        self._latest_ns = 0
 
     def count(self, message: Message) -> None:
         """Measure any message of the input."""
         if not is_result(message.channel):
+            self.inputs, self.late = self.inputs + 1, self.late + (message.log_time_ns < self._latest_ns)
+            self._latest_ns = max(self._latest_ns, message.log_time_ns)
             self.topics[message.channel.topic].count(message)
 
     def end(self, facts: LogFacts, latched: LatchedState, evidence: InputEvidence) -> None:
         """End a file; ``latched`` are the cameras and transforms at its end."""
         self.files.append(facts)
+        self._latest_ns = 0
         topics = topics_of(facts)
         for role, camera in latched.cameras.items():
             ego_T_camera = ego_T_camera_of(latched.tree, camera)

@@ -26,6 +26,8 @@ _TRUTH: Final[dict[str, tuple[str, Callable[[int, str, Any], bytes]]]] = {
     "truth_segmentation": ("segmentation", lambda stamp_ns, _, tags: _tags(stamp_ns, tags)),
 }
 """Field of ``Truth`` and encoder by role."""
+_END_NS: Final = 2**64
+"""End of the log times that MCAP can store."""
 
 
 def write_input_log(path: Path, frames: Iterable[tuple[Frame, Truth]]) -> int:
@@ -35,12 +37,14 @@ def write_input_log(path: Path, frames: Iterable[tuple[Frame, Truth]]) -> int:
     left out.
 
     Raises:
-        TargetError: the log cannot be written, or there are no frames.
+        TargetError: the log cannot be written, there are no frames, or a stamp is not a log time.
     """
     count, known = 0, dict[str, bytes]()
     with LogWriter(path) as log:
         for count, (frame, truth) in enumerate(frames, 1):
             stamp_ns, tagged = frame.stamp_ns, frame.segmentation or truth.segmentation
+            if not 0 <= stamp_ns < _END_NS:
+                raise TargetError(f"{path}: frame with stamp {stamp_ns} ns, expected 0 to {_END_NS - 1}")
             before, known = known, known | dict(_cameras(frame, 0))
             cameras = (item for item in _cameras(frame, stamp_ns) if known[item[0]] != before.get(item[0]))
             for role, data in chain(cameras, _inputs(frame), _truth(frame, truth)):

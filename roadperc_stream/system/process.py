@@ -8,6 +8,9 @@ from contextlib import contextmanager
 from io import TextIOWrapper
 from typing import IO, Final, Self, TextIO
 
+_STDERR: Final = 2
+"""File descriptor of stderr."""
+
 
 def ending_signals() -> list[int]:
     """The signals that end a command, except ignored ones, as under nohup."""
@@ -50,6 +53,24 @@ def discard_output(stream: IO[str]) -> None:
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream.fileno())
     os.close(null)
+
+
+@contextmanager
+def without_native_messages() -> Iterator[None]:
+    """Discard what libraries write to the process's stderr without an option to silence it; short blocks only."""
+    try:
+        kept = os.dup(_STDERR)
+    except OSError:  # it is closed
+        yield
+        return
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, _STDERR)
+    os.close(null)
+    try:
+        yield
+    finally:
+        os.dup2(kept, _STDERR)
+        os.close(kept)
 
 
 class PipeOutput(TextIOWrapper):

@@ -22,6 +22,7 @@ from roadperc_stream.model import Image
 from roadperc_stream.schemas.topics import METRICS_TOPIC, OVERLAY_TOPIC
 from roadperc_stream.system.files import completing, require_free, require_suffix, scratch_folder
 from roadperc_stream.system.pipeline import Pipeline
+from roadperc_stream.system.process import without_native_messages
 from roadperc_stream.system.progress import no_progress
 from roadperc_stream.system.threads import usable_cores
 from roadperc_stream.system.time import LONGEST_PAUSE_NS, NS_PER_S, ns_to_seconds
@@ -169,7 +170,8 @@ class _VideoWriter:
     def _opened(self, path: Path, rate_hz: float, *options: int) -> cv2.VideoWriter:
         assert self._size is not None  # of the first picture
         fourcc = cv2.VideoWriter.fourcc(*CODECS[self._target.suffix.lower()])
-        writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, rate_hz, self._size, options)
+        with without_native_messages():  # about a tag, which WebM does not have
+            writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, rate_hz, self._size, options)
         if not writer.isOpened():
             raise TargetError(
                 f"{self._target}: cannot write the video; check the folder and that OpenCV has the encoder"

@@ -33,6 +33,7 @@ from tests.batch.dataset import batch
 from tests.commands import ROOT
 from tests.info import faults
 from tests.info.faults import FAULTS, IMAGE, OWN, POSE
+from tests.replaying import replay
 
 FRAMES = 30
 SIDE = 160, 120
@@ -195,7 +196,7 @@ WRONG = {
     "": "limits nothing",
     '[topics."/a"]\nrate = [1, 2]': "/a: no key rate; did you mean rate_hz?",
     '[topics."/a"]\nrate_hz = [2, 1]': "/a: rate_hz: expected the lowest value first",
-    '[topics."/a"]\nrate_hz = "fast"': "rate_hz",
+    '[topics."/a"]\nrate_hz = "fast"': "rate_hz: expected a number, two numbers, a list",
     '[topics."/a"]\nsizes = 3': "/a: sizes: expected a list of names, found 3",
     '[topics."/a"]\noptional = 3': "/a: optional: expected true or false",
     '[topics."/a"]\ngap_s = nan': "/a: gap_s: expected a number",
@@ -257,6 +258,15 @@ def test_a_cut_log_breaks_the_contract_and_no_log_cannot_be_judged(capsys, tmp_p
     assert called(capsys, good, "--contract", tmp_path / "missing.toml")[0] == 3
     with pytest.raises(SystemExit, match="2"):
         called(capsys, good, "--contract", file, "--init", file)
+
+
+def test_a_result_and_a_log_of_one_frame_are_judged_by_what_they_have(contract, good, tmp_path):
+    source, result = written(tmp_path / "in.mcap", good), tmp_path / "out.mcap"
+    replay(source, result, CFG)
+    assert broken(record([result], {}, CFG), contract) == ()
+    first_ns = good[0].log_time_ns
+    found = broken(recorded(tmp_path / "one.mcap", [m for m in good if m.log_time_ns == first_ns]), contract)
+    assert not [one for one in found if one.key.startswith("stamps_")]
 
 
 def test_a_batch_records_what_each_log_breaks_and_goes_on(capsys, good, tmp_path):

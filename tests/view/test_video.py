@@ -78,7 +78,7 @@ def test_video_time_follows_the_stamps(times, shown):
 
 
 @pytest.mark.parametrize("suffix", [".webm", ".mp4"])
-def test_a_video_shows_overlays_and_repeats_the_last_one_in_gaps(tmp_path, suffix):
+def test_a_video_shows_overlays_and_repeats_the_last_one_in_gaps(capfd, tmp_path, suffix):
     """The second frame has no overlay, which is also a gap."""
     times = stamps(0, 50, 100, 150, 350, 400)
     colours = [(220, 0, 0), None, (0, 0, 220), (0, 0, 220), (220, 0, 0), (220, 0, 0)]
@@ -86,6 +86,7 @@ def test_a_video_shows_overlays_and_repeats_the_last_one_in_gaps(tmp_path, suffi
     done = write_video(source, tmp_path / f"video{suffix}", progress=lambda *counts: reported.append(counts))
     assert (done.pictures, done.frames) == (9, 6)
     assert reported == [(k, 6) for k in range(1, 7)]
+    assert capfd.readouterr().err == "", "OpenCV's message about a tag"
     pictures, rate_hz = read_video(tmp_path / f"video{suffix}")
     assert rate_hz == pytest.approx(20)
     assert [blue_red(p) for p in pictures] == ["blue"] * 2 + ["red"] * 5 + ["blue"] * 2
