@@ -65,12 +65,10 @@ class _Parts:
         first, *second = map(_messages, self.paths)
         if not second:
             return first
-        earlier = (m for m in first if (m.sequence < self.first_frame if is_result(m.channel) else self._before(m)))
-        later = (m for m in second[0] if is_result(m.channel) or not self._before(m))
+        cut_ns, frame = self.cut_ns, self.first_frame
+        earlier = (m for m in first if (m.sequence < frame if is_result(m.channel) else m.log_time_ns < cut_ns))
+        later = (m for m in second[0] if is_result(m.channel) or m.log_time_ns >= cut_ns)
         return merge(earlier, later, key=lambda message: message.log_time_ns)
-
-    def _before(self, message: Message) -> bool:
-        return message.log_time_ns < self.cut_ns
 
     def table(self, name: str) -> pl.DataFrame:
         """The rows of the whole log in the tables of this name."""

@@ -345,8 +345,8 @@ class Chain:
                 stamp_ns, image=image, depth_m=depth_m, tags=tags, detections=detections, right_image=right_image
             )
         if frame.stamp_ns == self._state.stamp_ns:
-            later = "pass a later one, or call reset() before"
-            raise ValueError(f"stamp_ns: {frame.stamp_ns} is also the last frame's; {later}")
+            hint = "pass a later one, or call reset() before"
+            raise ValueError(f"stamp_ns: {frame.stamp_ns} is also the last frame's; {hint}")
         with one_thread():
             prepared = prepare(self._cfg, rectified_frame(frame), own=self._own)
             self._state, result = step(self._cfg, self._state, prepared, own=self._own)
