@@ -57,9 +57,10 @@ def lane_annotations(stamp_ns: int, camera: Camera, lanes: Lanes) -> bytes:
             colour = colours.BOUNDARY[boundary.status]
             _points(message, PointsAnnotation.LINE_STRIP, line_px, colour, 4.0)
             text = f"{boundary.offset_m:+.2f} m {boundary.outside}".strip()
-            named = line_px[line_px[:, 0] < _TEXT_UP_TO * camera.width]
-            if len(named):
-                _text(message, camera, named[0], text, colour)
+            x, y = boundary.line_px.T
+            visible = boundary.line_px[(x >= 0) & (x < _TEXT_UP_TO * camera.width) & (y < camera.height)]
+            if len(visible):
+                _text(message, camera, visible[0], text, colour)
     return message.SerializeToString()
 
 
