@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from roadperc_stream.errors import RoadpercError
+from roadperc_stream.system.time import NS_PER_S
 
 Alignment = Literal["se3", "sim3", "origin", "none"]
 """Alignment of the estimated path to the true one."""
@@ -14,6 +15,8 @@ DeltaUnit = Literal["frames", "metres"]
 LanePairing = Literal["stamp", "order"]
 """How frames of the true lanes are paired with frames of the run."""
 WORST_FRAMES: Final = 3
+APART_NS: Final = NS_PER_S
+"""Worst frames that are nearer in time show the same moment."""
 EVERYTHING = "*"
 
 

@@ -6,12 +6,12 @@ from itertools import zip_longest
 from pathlib import Path
 
 from ..configurations import change
-from ..options import WORST_FRAMES, Rules
+from ..options import APART_NS, WORST_FRAMES, Rules
 from ..runs import Run
 from .fields import NOT_COMPARED, Agreement, Overlap, added, compare_tables
 from .metrics import FRAMES, METRICS
 from .pairing import Pairing
-from .verdicts import APART_NS, Mark, Place, Verdict, verdicts
+from .verdicts import Mark, Place, Verdict, verdicts
 
 
 @dataclass(frozen=True)

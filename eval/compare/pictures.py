@@ -46,8 +46,8 @@ def draw_worst(found: Comparison, folder: Path) -> Pictures:
         return files, ["no pictures: no frame is worse"]
     with scratch_folder(Path(gettempdir(), "roadperc-pictures")) as scratch, frame_progress("drawing", True) as bar:
         for rank, place in enumerate(places, 1):
-            halves, (values, unit) = [], values_at(place)
-            sides = zip(("base", "new"), (place.pair.base, place.pair.new), values.split(" → "), strict=True)
+            halves, (*values, unit) = [], values_at(place)
+            sides = zip(("base", "new"), (place.pair.base, place.pair.new), values, strict=True)
             for side, run, value in sides:
                 seen, lines = _seen(run, place.stamp_ns, scratch / f"{rank} {side}", bar)
                 notes += [f"picture {rank}, {side}: {line}" for line in lines]
@@ -57,7 +57,7 @@ def draw_worst(found: Comparison, folder: Path) -> Pictures:
             path = folder / f"{rank}_{_NOT_IN_NAMES.sub('-', place.pair.name)}_frame_{place.frame}.jpg"
             if any(half is not None for half in halves):
                 _write(path, halves)
-                label = f"{place.metric.label} {values}{unit}"
+                label = f"{place.metric.label} {' → '.join(values)}{unit}"
                 files.append((f"frame {place.frame} of {place.pair.name}: {label}; base left, new right", path))
     return files, notes
 

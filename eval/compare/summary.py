@@ -28,6 +28,8 @@ _MOST_FIELDS: Final = 10
 """Differing fields shown without ``--exact``."""
 _MUCH: Final = 0.1
 """Smallest change of a share that is named though it is not judged."""
+_DIGITS: Final = (3, 6)
+"""Digits of two values, and those if the first do not show the difference."""
 _TEXT_SHOWN: Final = 48
 """Characters shown of a text value."""
 _BY_USE: Final[tuple[Statistic, ...]] = ("mean", "worst frame", "worst log", "p95", "beyond limit", "spread")
@@ -189,10 +191,15 @@ def _shown_unit(metric: Metric, statistic: Statistic) -> tuple[float, str]:
     return 1.0, "" if metric.unit in UNITLESS else f" {metric.unit}"
 
 
-def both_values(base: Value, new: Value, digits: tuple[int, int] = (3, 6)) -> str:
-    """Both values with an arrow; with the second number of digits if the first does not show the difference."""
-    short, long = ([_text(value, count) for value in (base, new)] for count in digits)
-    return " → ".join(short if short[0] != short[1] else long)
+def both_values(base: Value, new: Value, digits: tuple[int, int] = _DIGITS) -> str:
+    """Both values with an arrow."""
+    return " → ".join(_told_apart(base, new, digits))
+
+
+def _told_apart(base: Value, new: Value, digits: tuple[int, int]) -> tuple[str, str]:
+    """Both values; with the second number of digits if the first does not show the difference."""
+    short, long = ((_text(base, count), _text(new, count)) for count in digits)
+    return short if short[0] != short[1] else long
 
 
 def _text(value: Value, digits: int) -> str:
@@ -204,14 +211,14 @@ def _text(value: Value, digits: int) -> str:
 
 def _where(place: Place) -> str:
     """The frame, its log, both values, and the command that shows it."""
-    values, unit = values_at(place)
-    return f"frame {place.frame} of {place.pair.name}, {values}{unit}: {_command(place)}"
+    base, new, unit = values_at(place)
+    return f"frame {place.frame} of {place.pair.name}, {base} → {new}{unit}: {_command(place)}"
 
 
-def values_at(place: Place) -> tuple[str, str]:
-    """The metric of base and new in a frame with an arrow, and its unit."""
+def values_at(place: Place) -> tuple[str, str, str]:
+    """The metric of base and new in a frame, and its unit."""
     scale, unit = _shown_unit(place.metric, "mean")
-    return both_values(place.base * scale, place.new * scale), unit
+    return *_told_apart(place.base * scale, place.new * scale, _DIGITS), unit
 
 
 def _command(place: Place) -> str:

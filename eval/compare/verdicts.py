@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Float
-from roadperc_stream.system.time import NS_PER_S
 
-from ..options import WORST_FRAMES, Rules
+from ..options import APART_NS, WORST_FRAMES, Rules
 from .bootstrap import Interval, mean_interval
 from .fields import Overlap
 from .metrics import COVERAGE_RELEVANT, LogValues, Metric, values_of
@@ -35,8 +34,6 @@ Mark = Literal["worse", "unchanged", "better"]
 Statistic = Literal["mean", "p95", "spread", "worst log", "worst frame", "beyond limit"]
 ROUNDING: Final = 1e-9
 """Ratio to a metric's size below which a difference is rounding, as on another processor."""
-APART_NS: Final = NS_PER_S
-"""Worst frames that are nearer in time show the same moment."""
 FEWEST: Final = 2
 JUMP: Final = 10.0
 LONE_JUMP: Final = 50.0

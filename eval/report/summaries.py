@@ -16,9 +16,9 @@ from roadperc_stream.model import ReasonKind, reason_of
 from roadperc_stream.output.reason_counts import ReasonCounts, grouped, merged
 from roadperc_stream.schemas.columns import RATIO
 from roadperc_stream.system.text import number
-from roadperc_stream.system.time import NS_PER_S
 
 from ..lanes.precision_recall import Score, scores
+from ..options import APART_NS
 from ..report_columns import CATEGORIES, CONFUSED, COUNTS, NUMBERS, RANKED, STATES, TRACED, Quantity
 from .consistency import Consistency, added, consistency_by_run
 from .lag import averaged, lag_frames, traces
@@ -61,7 +61,7 @@ class WorstFrame:
     def is_beside(self, other: "WorstFrame") -> bool:
         """Whether both show the same moment: less than a second apart in one segment of a log."""
         same = (self.run, self.config, self.segment) == (other.run, other.config, other.segment)
-        return same and abs(self.stamp_ns - other.stamp_ns) < NS_PER_S
+        return same and abs(self.stamp_ns - other.stamp_ns) < APART_NS
 
 
 @dataclass(frozen=True)
