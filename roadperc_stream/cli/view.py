@@ -154,7 +154,7 @@ def _parser() -> argparse.ArgumentParser:
     add(output, "--foxglove", action="store_true", help="play the log to Foxglove")
     png = "write the picture of one frame: the overlay, or that of --topic"
     add(output, "--png", metavar="FILE.png", type=Path, help=png, completer=files(".png"))
-    video = "write a video of the overlays, or of --topic; .mp4 is smaller, .webm takes a third of the time"
+    video = "write a video of the overlays, or of --topic; .mp4 is smaller, .webm is much faster"
     add(output, "--video", metavar="FILE.webm", type=Path, help=video, completer=files(".webm", ".mp4"))
     layout = "write a Foxglove layout for the log; with --foxglove it shows the times of the stages"
     add(parser, "--foxglove-layout", metavar="FILE.json", type=Path, help=layout, completer=files(".json"))

@@ -30,7 +30,7 @@ from roadperc_stream.view.pictures import Shot, shots
 from roadperc_stream.view.result_frames import read_rows
 
 CODECS: Final[Mapping[str, str]] = {".webm": "VP80", ".mp4": "vp09"}
-"""Codec by suffix. VP8 takes a tenth of the time of VP9, and half as many bytes again."""
+"""Codec by suffix. VP9 takes 5 to 15 times as long as VP8, for 20 to 40 % fewer bytes."""
 _ENCODED_HZ: Final = 1.0
 """libvpx uses its fast mode if a frame lasts as long as its deadline, 1 s. The real rate comes at the end."""
 _MOST_COLUMNS: Final = 1280
