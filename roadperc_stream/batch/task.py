@@ -20,7 +20,7 @@ from roadperc_stream.system.files import TABLE_SUFFIX
 from roadperc_stream.system.time import WHOLE, TimeRange
 
 _DIGITS: Final = 8
-RESULTS_VERSION: Final = "11"
+RESULTS_VERSION: Final = "12"
 """Raised by hand when the results of the chain change: a batch then replays all logs again."""
 _LIBRARIES: Final = ("numpy", "opencv-python-headless", "scipy")
 

@@ -230,6 +230,13 @@ def decode_indices(data: bytes, limits: LimitsConfig = DEFAULT_LIMITS) -> Image:
         return np.array(image)
 
 
+def value_counts(pixels: Image) -> NDArray[np.int64]:
+    """(256,) number of (H, W) pixels of each value; ``np.bincount`` takes five times as long."""
+    import cv2
+
+    return cv2.calcHist([pixels], [0], None, [256], [0, 256]).ravel().astype(np.int64)
+
+
 def instance_ids(bgr: Image) -> Ids:
     """(H, W) instance ids in CARLA's coding: green is the low byte, blue the high byte. Red, the tag, is not used.
 

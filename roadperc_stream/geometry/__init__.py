@@ -22,7 +22,6 @@ from roadperc_stream.geometry.planes import distance_per_depth as distance_per_d
 from roadperc_stream.geometry.planes import facing as facing
 from roadperc_stream.geometry.planes import fit_plane as fit_plane
 from roadperc_stream.geometry.planes import intersect_plane as intersect_plane
-from roadperc_stream.geometry.planes import plane_of_scatter as plane_of_scatter
 from roadperc_stream.geometry.planes import transform_plane as transform_plane
 from roadperc_stream.geometry.rotations import EGO_R_OPTICAL as EGO_R_OPTICAL
 from roadperc_stream.geometry.rotations import adjoint as adjoint

@@ -171,23 +171,14 @@ def fit_plane(points: NDArray[np.floating[Any]], chosen: NDArray[np.bool_] | Non
     Raises:
         ValueError: fewer than three points count.
     """
-    weights = np.ones(len(points), points.dtype) if chosen is None else chosen.astype(points.dtype)
+    weights = np.ones(len(points)) if chosen is None else chosen.astype(float)
     count = float(weights.sum())
     if count < 3:
         raise ValueError(f"a plane needs three points, got {count:.0f}")
-    centroid = (weights @ points).astype(float) / count
-    centred = (points - centroid.astype(points.dtype)).T
-    # Six dot products for the lower triangle are far faster than a product of such thin matrices.
-    scatter, weighted = np.zeros((3, 3)), np.empty_like(weights)
-    for i, coordinate in enumerate(centred):
-        np.multiply(weights, coordinate, out=weighted)
-        scatter[i, : i + 1] = [weighted @ other for other in centred[: i + 1]]
-    return plane_of_scatter(centroid, scatter)
-
-
-def plane_of_scatter(centroid: Float, scatter: Float) -> Plane:
-    """The plane through a (3,) centroid, normal to the direction of least (3, 3) scatter; reads the lower triangle."""
-    _, vectors = np.linalg.eigh(scatter, UPLO="L")
+    coordinates = points.T.astype(float, order="C")  # matrix products of three long rows are fast
+    centroid = coordinates @ weights / count
+    coordinates -= centroid[:, None]
+    _, vectors = np.linalg.eigh(coordinates * weights @ coordinates.T)
     normal = vectors[:, 0]
     return Plane.of(normal, -float(normal @ centroid))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from roadperc_stream.config import ReplayConfig
 from roadperc_stream.errors import DecodeError
+from roadperc_stream.formats.images import value_counts
 from roadperc_stream.geometry import Camera
 from roadperc_stream.input.assemble import EGO_FRAMES, ego_T_camera_of, lidar_mounting
 from roadperc_stream.input.calibrations import calibration_role
@@ -145,7 +146,7 @@ class InputEvidence:
 
     def _add_tags(self, image: TagImage) -> None:
         with suppress(DecodeError):  # the replay reports it
-            self.pixels += np.bincount(image.tags.ravel(), minlength=256)
+            self.pixels += value_counts(image.tags)
             self.table, self.masks_read = image.table, self.masks_read + 1
 
     def findings(

@@ -27,7 +27,6 @@ try:
         from roadperc_stream.kernels.surface_compiled import (
             mark_near,
             median_places,
-            moments_near,
             normal_equations,
             solve_band,
         )
@@ -41,7 +40,6 @@ except ImportError:
     from roadperc_stream.kernels.surface_plain import (
         mark_near,
         median_places,
-        moments_near,
         normal_equations,
         solve_band,
     )

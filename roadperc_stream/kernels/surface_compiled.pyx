@@ -11,9 +11,6 @@ from libc.string cimport memcpy
 
 import numpy as np
 
-cdef enum:
-    MOMENTS = 6
-
 
 cdef void _mark_row(
     const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, uint8_t* near,
@@ -24,45 +21,6 @@ cdef void _mark_row(
     for u in range(width):
         distance = depth[u] * (row + column[u]) + offset
         near[u] = among[u] & (fabsf(distance) <= within)
-
-
-cdef int _choose_row(
-    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, float* z,
-    Py_ssize_t width,
-) noexcept nogil:
-    """Write the depths that count, 0 for all others; return their number."""
-    cdef Py_ssize_t u
-    cdef int count = 0, near
-    cdef float distance
-    for u in range(width):
-        distance = depth[u] * (row + column[u]) + offset
-        near = (fabsf(distance) <= within) & among[u]
-        z[u] = depth[u] if near else <float>0.0
-        count += near
-    return count
-
-
-cdef void _sum_row(const float* z, const float* ray_x, double* sums, Py_ssize_t width) noexcept nogil:
-    """Sum from the first depth that is not 0 to the last one."""
-    cdef Py_ssize_t u, first = 0
-    cdef double depth, x, one_z = 0.0, one_x = 0.0, zz = 0.0, xz = 0.0, xx = 0.0
-    while first < width and z[first] == 0:
-        first += 1
-    while first < width and z[width - 1] == 0:
-        width -= 1
-    for u in range(first, width):
-        depth = z[u]
-        x = ray_x[u] * z[u]
-        one_z += depth
-        one_x += x
-        zz += depth * depth
-        xz += x * depth
-        xx += x * x
-    sums[1] = one_z
-    sums[2] = one_x
-    sums[3] = zz
-    sums[4] = xz
-    sums[5] = xx
 
 
 def mark_near(
@@ -76,30 +34,6 @@ def mark_near(
     with nogil:
         for v in range(height if width else 0):
             _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], &near[v, 0], width)
-
-
-def moments_near(
-    const float[:, ::1] depth_m, distances, float within_m, const uint8_t[:, ::1] among, const float[::1] ray_x
-):
-    cdef const float[::1] column = distances[0], row = distances[1]
-    cdef float offset_m = distances[2]
-    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v, count
-    _require_fitting(
-        height, width, column.shape[0] if column.shape[0] == ray_x.shape[0] else -1, row.shape[0], among.shape[0],
-        among.shape[1],
-    )
-    cdef double[:, ::1] sums = np.zeros((height, MOMENTS))
-    cdef float* z = <float*>malloc((width + 1) * sizeof(float))
-    if not z:
-        raise MemoryError
-    with nogil:
-        for v in range(height if width else 0):
-            count = _choose_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], z, width)
-            sums[v, 0] = count
-            if count:
-                _sum_row(z, &ray_x[0], &sums[v, 0], width)
-    free(z)
-    return np.asarray(sums)
 
 
 cdef _require_fitting(

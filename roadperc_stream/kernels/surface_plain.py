@@ -30,23 +30,6 @@ def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, amon
     np.bitwise_and(among, _near(depth_m, distances, within_m), out=near)
 
 
-def moments_near(
-    depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, ray_x: Float32
-) -> NDArray[np.float64]:
-    """(H, 6) sums of 1, z, x, z z, x z and x x over the pixels of each row that ``mark_near`` would mark.
-
-    z is the depth and x is z times ``ray_x`` (W,), the x of the rays with z = 1, both float32. The sums are in float64,
-    from left to right.
-    """
-    near = among.view(bool) & _near(depth_m, distances, within_m)
-    rows, columns = np.nonzero(near)
-    z = depth_m[near]
-    x, z = (ray_x[columns] * z).astype(float), z.astype(float)
-    # np.sum adds in another order.
-    sums = [np.bincount(rows, terms, len(depth_m)) for terms in (np.ones(len(z)), z, x, z * z, x * z, x * x)]
-    return np.stack(sums, axis=-1).astype(float, copy=False)
-
-
 def _near(depth_m: Float32, distances: PlaneDistances, within_m: float) -> NDArray[np.bool_]:
     column, row, offset_m = distances
     with np.errstate(invalid="ignore", over="ignore"):

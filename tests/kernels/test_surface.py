@@ -9,10 +9,10 @@ from tests.kernels.forms import SEEDS, assert_same_bits, both, wild
 
 
 def image(seed, height, width):
-    """Depth, distances per depth, marks and rays."""
+    """Depth, distances per depth, and marks."""
     rng = np.random.default_rng(seed)
-    column, row, ray = (rng.normal(size=length).astype(np.float32) for length in (width, height, width))
-    return wild(rng, (height, width), 3.0), column, row, rng.integers(0, 2, (height, width)).astype(np.uint8), ray
+    column, row = (rng.normal(size=length).astype(np.float32) for length in (width, height))
+    return wild(rng, (height, width), 3.0), column, row, rng.integers(0, 2, (height, width)).astype(np.uint8)
 
 
 @both("surface")
@@ -21,14 +21,6 @@ def test_pixels_of_known_depth_within_the_distance_are_near(kernel):
     among, near = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.uint8), np.full((2, 4), 9, np.uint8)
     kernel.mark_near(depth, (np.zeros(4, np.float32), np.ones(2, np.float32), -1.5), 0.5, among, near)
     np.testing.assert_array_equal(near, [[1, 1, 0, 0], [1, 1, 1, 0]])
-
-
-@both("surface")
-def test_moments_are_those_of_the_points(kernel):
-    depth, marks = np.array([[1.0, 2.0, 3.0, np.nan]], np.float32), np.array([[1, 1, 0, 1]], np.uint8)
-    flat, ray = np.zeros(4, np.float32), np.array([0.5, -1.0, 7.0, 7.0], np.float32)
-    found = kernel.moments_near(depth, (flat, flat[:1], 0.0), 1.0, marks, ray)
-    np.testing.assert_array_equal(found, [[2, 3, -1.5, 5, -3.5, 4.25]])
 
 
 @both("surface")
@@ -72,10 +64,9 @@ def test_a_band_that_is_not_positive_definite_has_no_solution(kernel, lower):
 
 
 @given(SEEDS, st.integers(0, 12), st.integers(0, 40))
-def test_marks_and_moments_have_the_same_bits(seed, height, width):
-    depth, column, row, marks, ray = image(seed, height, width)
+def test_marks_are_the_same(seed, height, width):
+    depth, column, row, marks = image(seed, height, width)
     assert_same_bits("surface", "mark_near", depth, (column, row, 0.25), 0.7, marks, np.full_like(marks, 9))
-    assert_same_bits("surface", "moments_near", depth, (column, row, 0.25), 0.7, marks, ray)
 
 
 @given(SEEDS, st.integers(0, 200), st.integers(1, 12), st.integers(1, 100))

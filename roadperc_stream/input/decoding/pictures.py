@@ -135,7 +135,8 @@ def _table_of(table: TagTable | None, *, indexed: bool) -> TagTable:
 
 
 def _data_of(message: Any) -> bytes:
-    return message.data if isinstance(message.data, bytes) else bytes(message.data.tobytes())
+    content = message.data  # each access to a protobuf's field copies it
+    return content if isinstance(content, bytes) else bytes(content.tobytes())
 
 
 def _decoded_depth(layout: str, content: bytes, limits: LimitsConfig) -> tuple[Float32, float]:

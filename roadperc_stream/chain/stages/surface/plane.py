@@ -20,22 +20,25 @@ from numpy.typing import NDArray
 
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.geometry.planes import Plane, PlaneSearch, distance_per_depth, facing, fit_plane, plane_of_scatter
-from roadperc_stream.kernels import mark_near, moments_near
+from roadperc_stream.geometry.planes import Plane, PlaneSearch, distance_per_depth, facing, fit_plane
+from roadperc_stream.kernels import mark_near
 from roadperc_stream.kernels.surface_plain import PlaneDistances
 from roadperc_stream.model import Absent, Mask, Reason
 
 _LOWER_IMAGE = 0.6
 """Share of the image below which rows count as road if there is no segmentation."""
 _ONE_PLACE_M = 1e-6
-"""Root mean square distance from the centroid up to which points count as one point, which fits no plane."""
+"""Largest extent of points that count as one point, which fits no plane."""
 _CAMERA_CENTRE = np.zeros(3)
 _COLLINEAR = 1e-3
 """Sine of the angle between two sides of a triangle below which its points count as collinear."""
 _BATCH: Final = 32
 """Planes evaluated in one matrix product; the search ends after a batch with a good plane."""
 _SUBSAMPLE: Final = 2048
-"""Points on which planes are evaluated: this gives the share of inliers to 1 %. The refit uses all points."""
+"""Points on which planes are evaluated: this gives the share of inliers to 1 %."""
+_ENOUGH_POINTS: Final = 20_000
+"""Points for the refit, at least; with more, the errors of single pixels average to far less than a millimetre."""
+Indices = NDArray[np.intp]
 _KEPT: Final = 32
 """Hypotheses that a picture of the search can show."""
 _ENOUGH_INLIERS: Final = 0.95
@@ -79,48 +82,29 @@ def _unmarked_above(camera: Camera, top: int) -> Mask:
     return mask
 
 
-def points_of(camera: Camera, depth_m: Float32, pixels: NDArray[np.intp]) -> Float:
-    """(N, 3) points in the camera frame of (N,) flat pixel indices, computed in float32."""
+def points_of(camera: Camera, depth_m: Float32, rows: Indices, columns: Indices) -> Float:
+    """(N, 3) points in the camera frame of the pixels at (N,) rows and columns, computed in float32."""
     x, y = ray_parts(camera)
-    rows, columns = np.divmod(pixels, camera.width)
     z = depth_m[rows, columns]
     return np.stack((x[columns] * z, y[rows] * z, z), axis=-1).astype(float)
+
+
+def road_points(camera: Camera, depth_m: Float32, usable: Mask) -> Float:
+    """(N, 3) points in the camera frame of an evenly spaced part of a mask's pixels; of few pixels, all."""
+    step = max(math.isqrt(number_of(usable) // _ENOUGH_POINTS), 1)
+    top = first_row(usable)
+    rows, columns = np.nonzero(usable[top::step, ::step])
+    return points_of(camera, depth_m, top + rows * step, columns * step)
 
 
 def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Mask:
     """(H, W) pixels of a mask within a distance of a plane in the camera's frame; False where the depth is unknown."""
     top = first_row(among)
     near = _unmarked_above(camera, top)
-    marks = among[top:].view(np.uint8), near[top:].view(np.uint8)
-    mark_near(depth_m[top:], _distances(camera, plane, top), within_m, *marks)
-    return near
-
-
-def plane_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float, among: Mask) -> Plane | None:
-    """The plane through the points of the pixels that ``pixels_near`` finds; None if they are fewer than three.
-
-    Total least squares as in ``fit_plane``, from sums over rows, without storing the points.
-    """
-    top, (x, y) = first_row(among), ray_parts(camera)
-    distances = _distances(camera, plane, top)
-    sums = moments_near(depth_m[top:], distances, within_m, among[top:].view(np.uint8), x)
-    one, z, x, zz, xz, xx = sums.T
-    y = y[top:].astype(float)
-    count = float(one.sum())
-    if count < 3:
-        return None
-    centroid = np.array([x.sum(), y @ z, z.sum()]) / count
-    lower = [[xx.sum(), 0.0, 0.0], [y @ xz, (y * y) @ zz, 0.0], [xz.sum(), y @ zz, zz.sum()]]
-    scatter = np.array(lower) / count - np.outer(centroid, centroid)
-    if np.trace(scatter) <= _ONE_PLACE_M**2:
-        scatter = np.zeros((3, 3))
-    return plane_of_scatter(centroid, scatter)
-
-
-def _distances(camera: Camera, plane: Plane, top: int) -> PlaneDistances:
-    """The terms of the distances of pixels from row ``top`` on."""
     column, row = distance_per_depth(camera, plane)
-    return PlaneDistances(column, row[top:], plane.offset_m)
+    marks = among[top:].view(np.uint8), near[top:].view(np.uint8)
+    mark_near(depth_m[top:], PlaneDistances(column, row[top:], plane.offset_m), within_m, *marks)
+    return near
 
 
 @lru_cache(maxsize=4)
@@ -150,22 +134,20 @@ def road_plane(
     ``depth_m`` is (H, W) metres, ``usable`` (H, W) the pixels of the road with known depth. ``up`` is a (3,) unit
     vector roughly away from the road, in the camera's frame. ``rng`` draws the hypotheses. The search is in this frame.
     """
-    count = number_of(usable)
+    points = road_points(camera, depth_m, usable)
+    count = len(points)
     if count < 3:
         return Absent(Reason("surface", "too_few_road_points", (count,)))
-    chosen = rng.integers(0, count, min(_SUBSAMPLE, count))
-    sample = points_of(camera, depth_m, np.flatnonzero(usable)[chosen])
-    found = _ransac(cfg, sample, up, rng)
+    sample = points[rng.integers(0, count, min(_SUBSAMPLE, count))]
+    found = _ransac(cfg, sample, up, rng) if np.ptp(sample, axis=0).max() > _ONE_PLACE_M else None
     if found is None:
         return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))
-    plane, search = found
-    # After a cheap refit to the sample, one pass over all points is enough.
-    close = np.abs(plane.distance(sample)) <= cfg.inlier_m
-    refitted = None
-    if np.count_nonzero(close) >= 3:
-        refitted = plane_near(camera, depth_m, fit_plane(sample, close), cfg.inlier_m, usable)
-    if refitted is None:
-        return Absent(Reason("surface", "plane_without_points"))
+    refitted, search = found
+    for fitted in (sample, points):  # after a refit to the sample, one to all points is enough
+        close = np.abs(refitted.distance(fitted)) <= cfg.inlier_m
+        if np.count_nonzero(close) < 3:
+            return Absent(Reason("surface", "plane_without_points"))
+        refitted = fit_plane(fitted, close)
     plane = facing(refitted, _CAMERA_CENTRE)
     # The refit may tilt a level hypothesis, for example if all points lie within ``inlier_m`` of each other.
     tilt_deg = float(np.degrees(np.arccos(min(abs(float(plane.n @ up)), 1.0))))
@@ -173,8 +155,8 @@ def road_plane(
         tilt_deg = 180.0 - tilt_deg
     if not tilt_deg <= cfg.max_tilt_deg:
         return Absent(Reason("surface", "plane_tilted", (tilt_deg, cfg.max_tilt_deg)))
-    inliers = pixels_near(camera, depth_m, plane, cfg.inlier_m, usable)
-    return plane, number_of(inliers) / count, search
+    inliers = int(np.count_nonzero(np.abs(plane.distance(points)) <= cfg.inlier_m))
+    return plane, inliers / count, search
 
 
 def _ransac(cfg: SurfaceConfig, points: Float, up: Float, rng: np.random.Generator) -> tuple[Plane, PlaneSearch] | None:
