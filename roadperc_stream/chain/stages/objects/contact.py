@@ -6,7 +6,7 @@ error of a row, of the pitch or of the road's slope grows with the square of the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, inf, radians, sqrt
 from typing import Final
 
@@ -16,9 +16,10 @@ from roadperc_stream.chain.stages.objects.mosaic import corners
 from roadperc_stream.chain.stages.objects.object_track import Extent
 from roadperc_stream.chain.stages.objects.path import LATERAL_STD_M, OBJECT_LENGTH_M, EgoPath, left_of
 from roadperc_stream.chain.stages.objects.regions import MOST_STD_SHARE
-from roadperc_stream.geometry import Camera, Float, rays
+from roadperc_stream.geometry import Camera, Float, rays, transform
 from roadperc_stream.geometry.planes import Plane
 from roadperc_stream.model import Box, Detection, Object, Surface
+from roadperc_stream.model.changed import changed
 from roadperc_stream.model.frame import Frame
 from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 
@@ -148,7 +149,7 @@ def _with_distance(camera: Camera, item: Object, contact: Contact | None) -> Obj
         return item
     length = hypot(*_nearest_ray(camera, item.detection.box_px))
     distance_m, std_m = contact.depth_m * length, contact.std_m * length
-    return replace(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
+    return changed(item, distance_m=distance_m, distance_std_m=std_m, distance_source="ground")
 
 
 def _contact(frame: Frame, ground: GroundPlane, item: Object, *, clear: bool) -> Contact:
@@ -217,7 +218,7 @@ def extent(frame: Frame, path: EgoPath, item: Object, contact: Contact) -> Exten
     depths_m = np.array([contact.depth_m + (long_m if k == inner else 0.0) for k in range(2)])
     points = directions * contact.depth_m
     points[:, 0] = directions[:, 0] * depths_m
-    left, right = left_of(path, points, frame.ego_T_camera).tolist()
+    left, right = left_of(path, *transform(frame.ego_T_camera, points).T[:2]).tolist()
     across = edge_std_px(box.x_max - box.x_min) * contact.depth_m / camera.fx
     aside = float(np.abs(directions[:, 0]).max()) * contact.std_m
     std_m = sqrt(LATERAL_STD_M**2 + across**2 + aside**2)

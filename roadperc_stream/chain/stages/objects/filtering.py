@@ -8,7 +8,6 @@ low quantile of the region's distances.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import cache
 from math import exp, hypot, inf, log
 from typing import Final
@@ -18,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.objects import regions
-from roadperc_stream.chain.stages.objects.mosaic import areas, corners, cut_out, kinds, shared_areas, with_classes
+from roadperc_stream.chain.stages.objects.mosaic import (
+    areas,
+    corners,
+    cut_out,
+    kinds,
+    part_of,
+    shared_areas,
+    with_classes,
+)
 from roadperc_stream.chain.stages.objects.points import (
     RARE,
     measured_by_points,
@@ -30,6 +37,7 @@ from roadperc_stream.chain.stages.objects.regions import MOST_STD_SHARE, UNKNOWN
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Float32
 from roadperc_stream.model import Absent, Detection, Image, Object, Objects, Reason
+from roadperc_stream.model.changed import changed
 from roadperc_stream.model.frame import Frame, mark
 from roadperc_stream.model.tag_tables import label_lookup
 
@@ -169,7 +177,7 @@ def _with_other_regions(measured: Measured, weight: float, others: Sequence[tupl
     if not any(off_m):
         return measured
     others_m = std_by_others_m(np.array([weight, *(w for w, _, _ in known)]), np.array([0.0, *off_m]))
-    return replace(measured, std_m=hypot(std_m, others_m)) if others_m < MOST_STD_SHARE * distance_m else _DOUBTFUL
+    return changed(measured, std_m=hypot(std_m, others_m)) if others_m < MOST_STD_SHARE * distance_m else _DOUBTFUL
 
 
 def _same_places(labels: Sequence[str], flat: Sequence[Region]) -> Iterator[NDArray[np.bool_]]:
@@ -242,15 +250,12 @@ def _candidates(
     found = regions.find_regions(frame.camera, mosaic, boxes)
     needed = [_MIN_FIT_SEEN if k in expected else _MIN_FIT for k in range(len(boxes))]
     poor = [max((r.fit for r in of_one), default=0.0) <= fit for of_one, fit in zip(found, needed, strict=True)]
-    if frame.table is not None and frame.instances is None and any(poor):
-        ground = frame.table.lookup(_GROUND)
-        above = [
-            1 - ground if is_poor and lookup is not None else None
-            for is_poor, lookup in zip(poor, lookups, strict=True)
-        ]
-        others = regions.find_regions(frame.camera, with_classes(mosaic, frame, above, boxes), boxes)
-        more = (_usual(cfg, frame, *of_one) for of_one in zip(detections, others, needed, strict=True))
-        found = [(*of_class, *of_any) for of_class, of_any in zip(found, more, strict=True)]
+    few = [k for k, is_poor in enumerate(poor) if is_poor and lookups[k] is not None]
+    if frame.table is not None and frame.instances is None and few:
+        above = with_classes(part_of(mosaic, few), [1 - frame.table.lookup(_GROUND)] * len(few))
+        others = regions.find_regions(frame.camera, above, [boxes[k] for k in few])
+        for k, of_any in zip(few, others, strict=True):
+            found[k] += tuple(_usual(cfg, frame, detections[k], k, of_any, needed[k]))
     labels = [detection.label for detection in detections]
     return choose(labels, found, lambda region: regions.of_region(cfg, region, frame.inverse_depth_std), expected)
 
@@ -274,17 +279,15 @@ def _by_points(
 
 
 def _usual(
-    cfg: ObjectsConfig, frame: Frame, detection: Detection, found: Sequence[Region], least_fit: float
+    cfg: ObjectsConfig, frame: Frame, detection: Detection, owner: int, found: Sequence[Region], least_fit: float
 ) -> Iterator[Region]:
     """Regions of any class that fit a detection's box, if it has a usual height at their distance."""
     height = (detection.box_px.y_max - detection.box_px.y_min) / frame.camera.fy
     for region in found:
         if _BY_DEPTH * region.fit > least_fit:
-            heights_m = height * np.array(
-                [regions.of_region(cfg, region, frame.inverse_depth_std).distance_m or np.nan]
-            )
-            if usual_heights(detection.label, heights_m)[0] > _LEAST_USUAL:
-                yield replace(region, fit=_BY_DEPTH * region.fit)
+            at = regions.of_region(cfg, region, frame.inverse_depth_std)
+            if usual_heights(detection.label, height * np.array([at.distance_m or np.nan]))[0] > _LEAST_USUAL:
+                yield changed(region, owner=owner, fit=_BY_DEPTH * region.fit)
 
 
 def _filtered(

@@ -4,7 +4,7 @@ With a mosaic, each step over pixels is one call for all boxes. This is faster, 
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import cv2
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadperc_stream.geometry import Camera, Float, Float32
-from roadperc_stream.model import Box, Ids, Image
+from roadperc_stream.model import Box, Ids, Image, Mask
+from roadperc_stream.model.changed import changed
 from roadperc_stream.model.frame import Frame, mark
 from roadperc_stream.model.tag_tables import classes_of_label
 
@@ -38,23 +39,27 @@ Pixels = tuple[slice, slice]
 T = TypeVar("T", bound=np.generic)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mosaic:
     """The cutouts of N boxes, one below the other with an empty row after each: (H, W) pixels.
 
     ``first_px`` (N, 2) are column and row of each cutout's first pixel in the image. ``steps`` (N, 2) are its sampling
-    steps in columns and rows, ``tops`` (N + 1,) its first row in the mosaic. ``of_class`` is 1 at pixels of the box's
-    classes. ``log_depth`` is the logarithm of the smoothed depth in metres. ``distances_m`` is the smoothed distance
-    from the camera, NaN unknown and infinite beyond the depth's range. ``noise`` is the absolute difference of the
-    logarithm before and after smoothing. These three are None without dense depth. ``ids`` are instance masks or None.
+    steps in columns and rows, ``tops`` (N + 1,) its first row in the mosaic. ``inside`` is 1 at pixels of the cutouts,
+    ``of_class`` at those of the box's classes. ``tags`` are None without tags. ``log_depth`` is the logarithm of the
+    smoothed depth in metres. ``distances_m`` is the smoothed distance from the camera, 0 unknown or ``beyond`` the
+    depth's range. ``noise`` is the absolute difference of the logarithm before and after smoothing. These four are None
+    without dense depth. ``ids`` are instance masks or None.
     """
 
     first_px: Indices
     steps: Indices
     tops: Indices
+    inside: Image
+    tags: Image | None
     of_class: Image
     log_depth: Float32 | None
     distances_m: Float32 | None
+    beyond: Mask | None
     noise: Float32 | None
     ids: Ids | None
 
@@ -107,50 +112,65 @@ def cut_out(frame: Frame, lookups: Sequence[Image | None], boxes: Sequence[Box])
         boxes: boxes in the frame's image; a box outside the image has an empty cutout.
     """
     cutouts = [_around(frame.camera, box) for box in boxes]
-    shapes = [tuple(len(range(part.start, part.stop, part.step)) for part in cutout) for cutout in cutouts]
-    tops = np.cumsum([0, *(height + 1 for height, _ in shapes)])
-    size = int(tops[-1]), max((width for _, width in shapes), default=0)
-    places = [(slice(top, top + height), slice(width)) for top, (height, width) in zip(tops, shapes, strict=False)]
-    of_class = _marks(frame, lookups, cutouts, places, size)
+    heights, widths = (
+        np.array([[len(range(p.start, p.stop, p.step)) for p in c] for c in cutouts], np.int64).reshape(-1, 2).T
+    )
+    tops = np.append(0, np.cumsum(heights + 1))
+    size = int(tops[-1]), int(widths.max(initial=0))
+    places = [
+        (slice(top, top + height), slice(width)) for top, height, width in zip(tops, heights, widths, strict=False)
+    ]
     first_px = np.array([(columns.start, rows.start) for rows, columns in cutouts], np.int64).reshape(-1, 2)
     steps = np.array([(columns.step, rows.step) for rows, columns in cutouts], np.int64).reshape(-1, 2)
+    width_of_row = np.repeat(widths, heights + 1)
+    width_of_row[tops[1:] - 1] = 0
+    inside = (np.arange(size[1]) < width_of_row[:, None]).view(np.uint8)
+    tags = None if frame.tags is None else _placed(frame.tags, cutouts, places, np.zeros(size, np.uint8))
     ids = None if frame.instances is None else _placed(frame.instances, cutouts, places, np.zeros(size, np.uint16))
-    if frame.dense_depth_m is None or not of_class.size:
-        return Mosaic(first_px, steps, tops, of_class, None, None, None, ids)
-    depth_m = _placed(frame.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
-    beyond = depth_m >= np.float32(frame.depth_limit_m)
-    unknown = ~(depth_m > 0)
-    log_depth, noise = _smoothed(np.multiply(depth_m, np.float32(1 + BEYOND), out=depth_m, where=beyond), unknown)
-    distances = _ray_lengths(frame.camera, first_px, steps, tops, size)
-    distances *= np.exp(log_depth)
-    distances[beyond] = np.inf
-    distances[unknown] = np.nan
-    return Mosaic(first_px, steps, tops, of_class, log_depth, distances, noise, ids)
+    log_depth = distances = beyond = noise = None
+    if frame.dense_depth_m is not None and inside.size:
+        depth_m = _placed(frame.dense_depth_m, cutouts, places, np.full(size, np.nan, np.float32))
+        beyond = depth_m >= np.float32(frame.depth_limit_m)
+        unknown = ~(depth_m > 0)
+        log_depth, noise = _smoothed(np.multiply(depth_m, np.float32(1 + BEYOND), out=depth_m, where=beyond), unknown)
+        distances = _ray_lengths(frame.camera, first_px, steps, tops, size)
+        distances *= np.exp(log_depth)
+        distances *= ~(beyond | unknown)
+    of_pixels = log_depth, distances, beyond, noise, ids
+    return with_classes(Mosaic(first_px, steps, tops, inside, tags, inside, *of_pixels), lookups)
 
 
-def with_classes(mosaic: Mosaic, frame: Frame, lookups: Sequence[Image | None], boxes: Sequence[Box]) -> Mosaic:
-    """The mosaic of the same frame and boxes with other classes; boxes without a lookup have no pixels."""
-    cutouts = [_around(frame.camera, box) for box in boxes]
-    places = [
-        (slice(top, end - 1), slice(len(range(c.start, c.stop, c.step))))
-        for (_, c), top, end in zip(cutouts, mosaic.tops[:-1], mosaic.tops[1:], strict=True)
-    ]
-    return replace(mosaic, of_class=_marks(frame, lookups, cutouts, places, mosaic.of_class.shape))
+def with_classes(mosaic: Mosaic, lookups: Sequence[Image | None]) -> Mosaic:
+    """The mosaic with the pixels of other classes; ``lookups`` as in ``cut_out``.
+
+    Isolated pixels and pairs would join objects, so they do not count. Pixels without a class count only with instance
+    masks; depth alone does not separate a car from the road.
+    """
+    of_class = np.full_like(mosaic.inside, mosaic.ids is not None)
+    for lookup in {id(lookup): lookup for lookup in lookups}.values():
+        if lookup is not None and mosaic.tags is not None and of_class.size:
+            rows = np.repeat([other is lookup for other in lookups], np.diff(mosaic.tops))
+            of_class[rows] = mark(mosaic.tags[rows], lookup)
+    of_class &= mosaic.inside
+    if of_class.size:
+        around = cv2.boxFilter(of_class, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        of_class &= around >= LEAST_TOGETHER
+    return changed(mosaic, of_class=of_class)
 
 
-def _marks(
-    frame: Frame,
-    lookups: Sequence[Image | None],
-    cutouts: Sequence[Pixels],
-    places: Sequence[Pixels],
-    size: tuple[int, ...],
-) -> Image:
-    """(H, W) 1 at pixels of each cutout's classes."""
-    of_class = np.zeros(size, np.uint8)
-    for cutout, place, lookup in zip(cutouts, places, lookups, strict=True):
-        if of_class[place].size:
-            _mark(frame, lookup, cutout, of_class[place])
-    return of_class
+def part_of(mosaic: Mosaic, chosen: Sequence[int]) -> Mosaic:
+    """The mosaic of some of the N boxes, by ascending position."""
+    heights = np.diff(mosaic.tops)
+    rows = np.repeat(np.isin(np.arange(len(heights)), chosen), heights)
+
+    def part(pixels: NDArray[T] | None) -> NDArray[T] | None:
+        return None if pixels is None else pixels[rows]
+
+    first_px, steps, tops = mosaic.first_px[chosen], mosaic.steps[chosen], np.append(0, np.cumsum(heights[chosen]))
+    inside, tags, of_class = mosaic.inside[rows], part(mosaic.tags), mosaic.of_class[rows]
+    log_depth, distances, beyond = part(mosaic.log_depth), part(mosaic.distances_m), part(mosaic.beyond)
+    of_pixels = log_depth, distances, beyond, part(mosaic.noise), part(mosaic.ids)
+    return Mosaic(first_px, steps, tops, inside, tags, of_class, *of_pixels)
 
 
 def _around(camera: Camera, box: Box) -> Pixels:
@@ -167,19 +187,6 @@ def _around(camera: Camera, box: Box) -> Pixels:
 def _sampled(first: int, end: int) -> slice:
     """At most ``LONGEST_SIDE`` rows or columns, evenly spaced."""
     return slice(first, end, max(-(-(end - first) // LONGEST_SIDE), 1))
-
-
-def _mark(frame: Frame, lookup: Image | None, cutout: Pixels, marked: Image) -> None:
-    """Set ``marked`` to 1 at pixels of the class, except for isolated pixels and pairs, which would join objects.
-
-    Pixels without a class count only with instance masks; depth alone does not separate a car from the road.
-    """
-    if lookup is None or frame.tags is None:
-        marked[...] = frame.instances is not None
-    else:
-        of_class = mark(frame.tags[cutout], lookup)
-        # OpenCV mirrors the borders.
-        marked[...] = of_class & (cv2.boxFilter(of_class, -1, (3, 3), normalize=False) >= LEAST_TOGETHER)
 
 
 def _placed(picture: NDArray[T], cutouts: Sequence[Pixels], places: Sequence[Pixels], into: NDArray[T]) -> NDArray[T]:

@@ -5,18 +5,19 @@ jump to something that passes in front of the object, so jumps are rejected. A d
 filter, which replaces the filter of the distance when its own distances have been consistent for a while.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot, sqrt
 
 from roadperc_stream.chain.stages.objects import rate_filter
 from roadperc_stream.chain.stages.objects.growth import GROWTH_WALK, Growth
 from roadperc_stream.chain.stages.objects.place import GroundPlace, Sighting, usual_speed_std_mps
-from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, change_of_distance_m
+from roadperc_stream.chain.stages.objects.rate_filter import EgoRate, Jitter, RateFilter, Ray, Rows
 from roadperc_stream.chain.stages.objects.regions import UNKNOWN, Measured
 from roadperc_stream.chain.stages.objects.template import Template
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Box, Detection, Object
+from roadperc_stream.model.changed import changed
 from roadperc_stream.system.time import NS_PER_S
 
 _FIRST_SPEED_STD_MPS = 20.0
@@ -107,14 +108,14 @@ def start(cfg: ObjectsConfig, number: int, item: Object, box_px: Box, stamp_ns: 
     return _with_distance(cfg, track, item, cut=False)
 
 
-def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: Float | None = None) -> ObjectTrack:
+def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: Rows | None = None) -> ObjectTrack:
     """The track at a later stamp: the box moves at the rate of its centre and grows as the distance shrinks.
 
     Args:
         cfg: process noise of the distance.
         track: the track at an earlier stamp.
         stamp_ns: the later stamp.
-        now_T_last: (4, 4) motion of the camera between both stamps, None if unknown.
+        now_T_last: (4, 4) motion of the camera between both stamps, row by row, None if unknown.
     """
     dt_s = (stamp_ns - track.stamp_ns) / NS_PER_S
     width, height = _sides(track.box_px)
@@ -136,7 +137,7 @@ def predict(cfg: ObjectsConfig, track: ObjectTrack, stamp_ns: int, now_T_last: F
         distance_m, rival_m = (m.shifted(turn_mps * dt_s / 2, turn_mps) if m else None for m in (distance_m, rival_m))
     scale = zoom(track.distance_m.value if track.distance_m else None, distance_m)
     box_px = _box((x_px.value, y_px.value), (width * scale, height * scale))
-    return replace(
+    return changed(
         track,
         box_px=box_px,
         x_px=x_px,
@@ -163,11 +164,11 @@ def _grown(track: ObjectTrack, walk_mps: float, dt_s: float) -> Growth | None:
     return track.growth.predict(walk_mps / distance.value, dt_s)
 
 
-def _ego_rate(track: ObjectTrack, now_T_last: Float | None, dt_s: float) -> EgoRate | None:
+def _ego_rate(track: ObjectTrack, now_T_last: Rows | None, dt_s: float) -> EgoRate | None:
     """Rate of the distance that a stationary object would have; None if unknown."""
     if now_T_last is None or track.distance_m is None or track.nearest_ray is None or dt_s <= 0:
         return None
-    change_m = change_of_distance_m(now_T_last, track.nearest_ray, max(track.distance_m.value, 0.0))
+    change_m = rate_filter.change_of_distance_m(now_T_last, track.nearest_ray, max(track.distance_m.value, 0.0))
     return EgoRate.after(change_m, dt_s, track.ego_rate)
 
 
@@ -179,7 +180,7 @@ def _with_usual_speed(track: ObjectTrack, ego_mps: float) -> ObjectTrack:
     if track.jitter.last_ns != track.stamp_ns:
         return track
     std_mps = usual_speed_std_mps(track.detection.label)
-    return replace(
+    return changed(
         track, distance_m=rate_filter.start(distance.value, sqrt(distance.value_var), std_mps).shifted(0.0, ego_mps)
     )
 
@@ -194,7 +195,7 @@ def zoom(before_m: float | None, after_m: RateFilter | None) -> float:
 
 def detected(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, *, cut: bool = False) -> ObjectTrack:
     """The predicted track after its detection; ``cut`` if the image's border cuts the object."""
-    track = replace(track, detection=item.detection, detected_ns=track.stamp_ns)
+    track = changed(track, detection=item.detection, detected_ns=track.stamp_ns)
     return observed(cfg, track, item, box_px, cut=cut)
 
 
@@ -202,7 +203,7 @@ def observed(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, 
     """The predicted track after its object was observed, by a detection or by its template."""
     (x, y), (width, height) = _centre(box_px), _sides(box_px)
     track = _with_distance(cfg, track, item, cut=cut)
-    return replace(
+    return changed(
         track,
         box_px=box_px,
         x_px=track.x_px.update(x, _centre_std(width)),
@@ -215,14 +216,14 @@ def observed(cfg: ObjectsConfig, track: ObjectTrack, item: Object, box_px: Box, 
 def placed(track: ObjectTrack, extent: Extent | None, template: Template | None) -> ObjectTrack:
     """The track with a template, and with its edges updated by ``extent``, if that is known."""
     if extent is None:
-        return track if template is track.template else replace(track, template=template)
+        return track if template is track.template else changed(track, template=template)
     if track.right_m is None or track.left_m is None:
         edges = (rate_filter.start(m, extent.std_m, _FIRST_DRIFT_STD_MPS) for m in (extent.right_m, extent.left_m))
         right_m, left_m = edges
     else:
         right_m = track.right_m.update(extent.right_m, extent.std_m)
         left_m = track.left_m.update(extent.left_m, extent.std_m)
-    return replace(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
+    return changed(track, right_m=right_m, left_m=left_m, nearest_ray=extent.nearest_ray, template=template)
 
 
 def beside_another_path(track: ObjectTrack) -> ObjectTrack:
@@ -233,7 +234,7 @@ def beside_another_path(track: ObjectTrack) -> ObjectTrack:
     distance = track.distance_m
     std_mps = _FIRST_DRIFT_STD_MPS if distance is None else _CURVATURE_STD_PER_M * abs(distance.value * distance.rate)
     right_m, left_m = (m and _beside_another_path(m, std_mps) for m in (track.right_m, track.left_m))
-    return replace(track, right_m=right_m, left_m=left_m)
+    return changed(track, right_m=right_m, left_m=left_m)
 
 
 def _beside_another_path(edge: RateFilter, std_mps: float) -> RateFilter:
@@ -245,7 +246,7 @@ def seen_at(track: ObjectTrack, seen: Sighting | None) -> ObjectTrack:
     if seen is None:
         return track
     place = track.place.update(seen) if track.place else GroundPlace.of_first(seen, track.detection.label)
-    return replace(track, place=place)
+    return changed(track, place=place)
 
 
 def aimed(track: ObjectTrack, camera: Camera) -> ObjectTrack:
@@ -260,19 +261,19 @@ def aimed(track: ObjectTrack, camera: Camera) -> ObjectTrack:
     y = camera.cy + 0.5 + camera.fy * track.place.down_m / ahead_m
     x_std = camera.fx * sqrt(track.place.right_m.value_var) / ahead_m
     x_px, y_px = (rate_filter.start(*values, 0.0) for values in ((x, x_std), (y, _centre_std(sides[1]))))
-    return replace(track, box_px=_box((x, y), sides), x_px=x_px, y_px=y_px)
+    return changed(track, box_px=_box((x, y), sides), x_px=x_px, y_px=y_px)
 
 
 def grown(cfg: ObjectsConfig, track: ObjectTrack, edge_std_px: tuple[float, float]) -> ObjectTrack:
     """The track after its whole box was seen; with the deviations of the box's vertical and horizontal edges."""
     box, stamp_ns = track.box_px, track.stamp_ns
     after = track.growth.after(stamp_ns, box, edge_std_px, cfg.gate) if track.growth else None
-    return replace(track, growth=after or Growth.of_first(stamp_ns, box, edge_std_px))
+    return changed(track, growth=after or Growth.of_first(stamp_ns, box, edge_std_px))
 
 
 def with_depth(track: ObjectTrack) -> ObjectTrack:
     """The track for a frame with depth: without what only frames without depth need."""
-    return track if track.ground_share is None else replace(track, growth=None, ground_share=None)
+    return track if track.ground_share is None else changed(track, growth=None, ground_share=None)
 
 
 def expired(cfg: ObjectsConfig, track: ObjectTrack) -> bool:
@@ -319,7 +320,7 @@ def _with_distance(cfg: ObjectsConfig, track: ObjectTrack, item: Object, *, cut:
     dt_s = (track.stamp_ns - track.observed_ns) / NS_PER_S
     change_mps = _turning_mps2(track.distance_m, track.nearest_ray) * dt_s
     distance = track.distance_m.at(item.distance_m, std_m, change_mps)
-    return replace(track, distance_m=distance, rival_m=None, agreed_ns=track.stamp_ns)
+    return changed(track, distance_m=distance, rival_m=None, agreed_ns=track.stamp_ns)
 
 
 def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: float) -> ObjectTrack:
@@ -327,7 +328,7 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
     filtered, rival, stamp_ns = track.distance_m, track.rival_m, track.stamp_ns
     new = Jitter.of_first(stamp_ns, distance_m, std_m)
     if filtered is None:
-        return replace(track, distance_m=_first_distance(distance_m, std_m), jitter=new, agreed_ns=stamp_ns)
+        return changed(track, distance_m=_first_distance(distance_m, std_m), jitter=new, agreed_ns=stamp_ns)
     ours = filtered.surprise(distance_m, std_m)
     theirs = rival.surprise(distance_m, std_m) if rival else cfg.gate
     if ours <= min(theirs, cfg.gate):
@@ -336,13 +337,13 @@ def _measured(cfg: ObjectsConfig, track: ObjectTrack, distance_m: float, std_m: 
         if jitter.one_sided > _MOST_ONE_SIDED:
             filtered, jitter = filtered.doubted(jitter.one_sided), jitter.renewed()
         distance = filtered.update(distance_m, used_std_m)
-        return replace(track, distance_m=distance, rival_m=None, jitter=jitter, agreed_ns=stamp_ns)
+        return changed(track, distance_m=distance, rival_m=None, jitter=jitter, agreed_ns=stamp_ns)
     if rival is None or theirs > cfg.gate:
-        return replace(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
+        return changed(track, rival_m=_first_distance(distance_m, std_m), rival_ns=track.stamp_ns)
     rival = rival.update(distance_m, std_m)
     if (track.stamp_ns - track.rival_ns) / NS_PER_S < cfg.restart_s:
-        return replace(track, rival_m=rival)
-    return replace(track, distance_m=rival, rival_m=None, jitter=new, agreed_ns=stamp_ns)
+        return changed(track, rival_m=rival)
+    return changed(track, distance_m=rival, rival_m=None, jitter=new, agreed_ns=stamp_ns)
 
 
 def _turning_mps2(distance_m: RateFilter, nearest_ray: Ray | None) -> float:

@@ -5,7 +5,8 @@ forward collision warning (ISO 15623; terms of GB/T 33577-2017). The time to col
 speed. A vehicle cuts in if it is beside the path and moves towards it.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import atan2, ceil, cos, exp, fsum, hypot, radians, sin, sqrt
 
 import numpy as np
@@ -15,9 +16,10 @@ from roadperc_stream.chain.stages.objects.object_track import Extent, ObjectTrac
 from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
 from roadperc_stream.chain.stages.objects.regions import ranked
 from roadperc_stream.config import ObjectsConfig
-from roadperc_stream.geometry import Float, Float32
-from roadperc_stream.model import SIDES, Boundary, Detection, Lanes, Object, PathSource
-from roadperc_stream.model.frame import Frame
+from roadperc_stream.geometry import Camera, Float, Float32
+from roadperc_stream.model import SIDES, Boundary, Lanes, Mask, Object, PathSource
+from roadperc_stream.model.changed import changed
+from roadperc_stream.model.frame import Frame, mark
 from roadperc_stream.model.tag_tables import classes_of_label, label_lookup
 
 _TURNING_FROM_M = 1e-3
@@ -145,66 +147,94 @@ def _known(boundary: Boundary) -> tuple[float, float, float, float] | None:
     return boundary.offset_m, boundary.heading, boundary.curvature_per_m or 0.0, weight
 
 
-def extent(frame: Frame, path: EgoPath, item: Object) -> Extent | None:
-    """The edges of an object beside the path, from its pixels up to a car's length behind its nearest point.
+def extents(frame: Frame, path: EgoPath, items: Sequence[Object]) -> list[Extent | None]:
+    """The edges of objects beside the path, from their pixels up to a car's length behind their nearest points.
+
+    All objects are computed at once, because calls cost more than pixels.
 
     Args:
         frame: the frame.
         path: the car's path, in the ego frame.
-        item: the object with its distance in this frame.
+        items: the objects with their distances in this frame.
 
     Returns:
-        None if too few pixels have a depth.
+        None for objects without a distance, or if too few pixels have a depth.
     """
-    if item.distance_m is None or frame.depth_m is None:
-        return None
-    points, ranges_m = _points(frame, frame.depth_m, item.detection, item.distance_m)
-    if len(points) < _FEWEST_PIXELS:
-        return None
-    right, left = ranked(left_of(path, points, frame.ego_T_camera), _OUTERMOST, 1.0 - _OUTERMOST)
-    nearest = points[ranges_m <= ranked(ranges_m, _NEAREST)[0]]
-    x, y = (np.cumsum(nearest[:, :2] / nearest[:, 2:], axis=0)[-1] / len(nearest)).tolist()
-    return Extent(right, left, LATERAL_STD_M + _STD_SHARE * item.distance_m, (x, y, 1.0))
+    if frame.depth_m is None or not items:
+        return [None] * len(items)
+    boxes = [_sampled(frame.camera, item) for item in items]
+    counts = [len(range(r.start, r.stop, r.step)) * len(range(c.start, c.stop, c.step)) for r, c in boxes]
+    x, y, depths_m, chosen = _pixels(frame, frame.depth_m, items, boxes, counts)
+    distances_m = np.repeat([item.distance_m or np.nan for item in items], counts)
+    ranges_m = depths_m * np.sqrt(x**2 + (y**2 + 1.0))
+    chosen &= ranges_m > (1.0 - _NEARER_SHARE) * distances_m - _NEARER_M
+    chosen &= ranges_m < distances_m + OBJECT_LENGTH_M
+    at = np.flatnonzero(chosen)
+    x, y, z, ranges_m = x[at], y[at], depths_m[at], ranges_m[at]
+    ego = (z * (row[0] * x + row[1] * y + row[2]) + row[3] for row in frame.ego_T_camera[:2].tolist())
+    lateral_m = left_of(path, *ego)
+    ends = [0, *np.searchsorted(at, np.cumsum(counts)).tolist()]
+    found: list[Extent | None] = []
+    for item, first, end in zip(items, ends, ends[1:], strict=False):
+        if item.distance_m is None or end - first < _FEWEST_PIXELS:
+            found.append(None)
+            continue
+        right, left = ranked(lateral_m[first:end], _OUTERMOST, 1.0 - _OUTERMOST)
+        nearest = first + np.flatnonzero(ranges_m[first:end] <= ranked(ranges_m[first:end], _NEAREST)[0])
+        to_x, to_y = (float(np.add.reduce(way[nearest])) / len(nearest) for way in (x, y))
+        found.append(Extent(right, left, LATERAL_STD_M + _STD_SHARE * item.distance_m, (to_x, to_y, 1.0)))
+    return found
 
 
-def left_of(path: EgoPath, points: Float, ego_T_camera: Float) -> Float:
-    """(N,) distance of (N, 3) points in the camera's frame to the left of the path, at right angles to it, metres.
+def _sampled(camera: Camera, item: Object) -> tuple[slice, slice]:
+    """Rows and columns of an object's pixels, evenly spaced; empty without a distance."""
+    x0, y0, x1, y1 = item.detection.box_px.rounded(camera.width, camera.height)
+    if item.distance_m is None or x0 >= x1 or y0 >= y1:
+        return slice(0, 0, 1), slice(0, 0, 1)
+    step = ceil(sqrt((x1 - x0) * (y1 - y0) / _MOST_PIXELS))
+    return slice(y0, y1, step), slice(x0, x1, step)
+
+
+def _pixels(
+    frame: Frame, depth_m: Float32, items: Sequence[Object], boxes: Sequence[tuple[slice, slice]], counts: Sequence[int]
+) -> tuple[Float, Float, Float, Mask]:
+    """The pixels of all boxes: x and y of their rays with z = 1, their depths, and whether they are of the class."""
+    camera, (x, y, depths_m), end = frame.camera, np.empty((3, sum(counts))), 0
+    chosen = np.ones(len(x), bool)
+    across, down = (np.arange(camera.width) - camera.cx) / camera.fx, (np.arange(camera.height) - camera.cy) / camera.fy
+    for item, (rows, columns), count in zip(items, boxes, counts, strict=True):
+        first, end = end, end + count
+        of_box = depth_m[rows, columns]
+        for values, all_values in ((across[columns], x), (down[rows, None], y), (of_box, depths_m)):
+            all_values[first:end].reshape(of_box.shape)[...] = values
+        lookup = None if frame.table is None else label_lookup(frame.table, item.detection.label)
+        if frame.tags is not None and lookup is not None and count:
+            chosen[first:end] = mark(frame.tags[rows, columns], lookup).ravel()
+    return x, y, depths_m, chosen
+
+
+def left_of(path: EgoPath, ahead_m: Float, left_m: Float) -> Float:
+    """(N,) distance of points in the ego frame to the left of the path, at right angles to it, metres.
 
     The formula is exact on the circle and has no singularity for a straight line.
+
+    Args:
+        path: in the ego frame.
+        ahead_m: (N,) x of the points.
+        left_m: (N,) y of the points.
     """
     bend, cosine, sine = path.curvature_per_m, cos(path.heading), sin(path.heading)
-    along, across = (
-        row[0] * points[:, 0] + row[1] * points[:, 1] + row[2] * points[:, 2] + row[3] for row in ego_T_camera[:2]
-    )
-    across = across - path.offset_m
-    ahead, aside = cosine * along + sine * across, cosine * across - sine * along
-    to_centre = np.hypot(bend * ahead, 1.0 - bend * aside)
-    lateral: Float = (2.0 * aside - bend * (ahead**2 + aside**2)) / (1.0 + to_centre)
+    across_m = left_m - path.offset_m
+    ahead, aside = cosine * ahead_m + sine * across_m, cosine * across_m - sine * ahead_m
+    bent_ahead, bent_aside = bend * ahead, bend * aside
+    to_centre = np.sqrt(bent_ahead**2 + (1.0 - bent_aside) ** 2)
+    lateral: Float = ((2.0 - bent_aside) * aside - bent_ahead * ahead) / (1.0 + to_centre)
     return lateral
-
-
-def _points(frame: Frame, depth_m: Float32, detection: Detection, distance_m: float) -> tuple[Float, Float]:
-    """(N, 3) points of the object in the camera's frame, and their distances, from pixels spread over its box."""
-    camera = frame.camera
-    x0, y0, x1, y1 = detection.box_px.rounded(camera.width, camera.height)
-    step = max(ceil(sqrt(max(x1 - x0, 0) * max(y1 - y0, 0) / _MOST_PIXELS)), 1)
-    lookup = None if frame.table is None else label_lookup(frame.table, detection.label)
-    box = slice(y0, y1, step), slice(x0, x1, step)
-    x, y = (np.arange(x0, x1, step) - camera.cx) / camera.fx, (np.arange(y0, y1, step) - camera.cy) / camera.fy
-    depths_m = depth_m[box].astype(np.float64)
-    behind_m = depths_m * np.sqrt(x**2 + (y**2 + 1.0)[:, None]) - distance_m
-    chosen = (behind_m > -_NEARER_M - _NEARER_SHARE * distance_m) & (behind_m < OBJECT_LENGTH_M)
-    if frame.tags is not None and lookup is not None:
-        chosen &= lookup[frame.tags[box]] > 0
-    rows, columns = np.nonzero(chosen)
-    z = depths_m[chosen]
-    points = np.stack((x[columns] * z, y[rows] * z, z), axis=-1)
-    return points, np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2 + z**2)
 
 
 def judged(cfg: ObjectsConfig, frame: Frame, path: EgoPath, item: Object, track: ObjectTrack) -> Object:
     """The object with its track's id, place beside the path, closing speed and time to impact."""
-    placed = _placed(cfg, path, replace(item, track_id=str(track.number)), track)
+    placed = _placed(cfg, path, changed(item, track_id=str(track.number)), track)
     return _timed(cfg, placed, track, frame.inverse_depth_std)
 
 
@@ -220,7 +250,7 @@ def _placed(cfg: ObjectsConfig, path: EgoPath, item: Object, track: ObjectTrack)
     if path.lane_half_m is not None:  # over the lane's line, and certainly moving in
         surely_mps = max(cfg.cut_in_mps, _SURE_SIGMAS * sqrt(nearer.rate_var))
         cut_in = not in_path and nearer.value < path.lane_half_m and -nearer.rate > surely_mps
-    return replace(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
+    return changed(item, lateral_m=(right.value + left.value) / 2, in_path=in_path, cut_in=cut_in)
 
 
 def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack, inverse_std: float) -> Object:
@@ -241,7 +271,7 @@ def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack, inverse_std: fl
     closing, std = -distance.rate, sqrt(distance.rate_var)
     shared_mps = 2.0 * inverse_std * distance.value * closing
     own = sqrt(track.jitter.rate_var_scale) if track.jitter else 1.0
-    item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=hypot(own * std, shared_mps))
+    item = changed(item, closing_speed_mps=closing, closing_speed_std_mps=hypot(own * std, shared_mps))
     contradicted = track.rival_m is not None or distance.value <= 0
     nears = closing >= cfg.min_closing_mps and closing >= cfg.min_closing_sigmas * std
     if not item.in_path or contradicted or not nears:
@@ -249,7 +279,7 @@ def _timed(cfg: ObjectsConfig, item: Object, track: ObjectTrack, inverse_std: fl
     impact_s = distance.value / closing
     if not _may_be_hit(cfg, item.detection.label, track, impact_s):
         return item
-    return replace(item, time_to_impact_s=impact_s, time_to_impact_std_s=own * _time_to_impact_std_s(distance))
+    return changed(item, time_to_impact_s=impact_s, time_to_impact_std_s=own * _time_to_impact_std_s(distance))
 
 
 def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, distance: RateFilter) -> Object:
@@ -267,7 +297,7 @@ def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, d
     closing, std = found.rate * distance.value, sqrt(found.variance) * distance.value
     if std <= cfg.max_speed_std_mps:
         std_mps = hypot(std, (track.ground_share or 0.0) * closing)
-        item = replace(item, closing_speed_mps=closing, closing_speed_std_mps=std_mps)
+        item = changed(item, closing_speed_mps=closing, closing_speed_std_mps=std_mps)
     nears = closing >= cfg.min_closing_mps and closing > max(cfg.min_closing_sigmas, 1.0) * std
     if (
         item.distance_m is None
@@ -276,7 +306,7 @@ def _timed_without_depth(cfg: ObjectsConfig, item: Object, track: ObjectTrack, d
         or not _may_be_hit(cfg, item.detection.label, track, 1.0 / found.rate)
     ):
         return item
-    return replace(item, time_to_impact_s=1.0 / found.rate, time_to_impact_std_s=found.time_to_impact_std_s)
+    return changed(item, time_to_impact_s=1.0 / found.rate, time_to_impact_std_s=found.time_to_impact_std_s)
 
 
 def _may_be_hit(cfg: ObjectsConfig, label: str, track: ObjectTrack, after_s: float) -> bool:

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Final
 
-import numpy as np
-
 from roadperc_stream.chain.stages.objects import rate_filter
-from roadperc_stream.chain.stages.objects.rate_filter import RateFilter
-from roadperc_stream.geometry import Camera, Float
+from roadperc_stream.chain.stages.objects.rate_filter import RateFilter, Rows, moved
+from roadperc_stream.geometry import Camera
 from roadperc_stream.model import Box
 from roadperc_stream.model.tag_tables import classes_of_label
 
@@ -52,12 +50,11 @@ class GroundPlace:
         right_m = rate_filter.start(seen.point_m[0], seen.right_std_m, speed_std_mps)
         return cls(right_m, rate_filter.start(seen.point_m[2], seen.ahead_std_m, speed_std_mps), seen.point_m[1])
 
-    def predict(self, now_T_last: Float, dt_s: float) -> "GroundPlace":
+    def predict(self, now_T_last: Rows, dt_s: float) -> "GroundPlace":
         """The place ``dt_s`` seconds later, in the axes of the camera after its (4, 4) motion."""
-        right_m, ahead_m = (m.predict(_SPEED_WALK, dt_s) for m in (self.right_m, self.ahead_m))
-        turn = now_T_last[:3, :3]
-        x, y, z = (turn @ np.array((right_m.value, self.down_m, ahead_m.value)) + now_T_last[:3, 3]).tolist()
-        x_mps, _, z_mps = (turn @ np.array((right_m.rate, 0.0, ahead_m.rate))).tolist()
+        right_m, ahead_m = self.right_m.predict(_SPEED_WALK, dt_s), self.ahead_m.predict(_SPEED_WALK, dt_s)
+        x, y, z = moved(now_T_last, (right_m.value, self.down_m, ahead_m.value))
+        x_mps, _, z_mps = moved(now_T_last, (right_m.rate, 0.0, ahead_m.rate), shift=0.0)
         right_m = right_m.shifted(x - right_m.value, x_mps - right_m.rate)
         return GroundPlace(right_m, ahead_m.shifted(z - ahead_m.value, z_mps - ahead_m.rate), y)
 

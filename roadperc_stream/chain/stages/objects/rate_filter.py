@@ -17,12 +17,11 @@ The car's own motion is known from odometry and is a known input of the filter (
 section 5.2.1). The filter does not have to estimate that the car brakes, turns or passes an object.
 """
 
-from dataclasses import dataclass, replace
-from math import copysign, exp, sqrt
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import copysign, exp, hypot, sqrt
 
-import numpy as np
-
-from roadperc_stream.geometry import Float, transform
+from roadperc_stream.model.changed import changed
 from roadperc_stream.system.time import NS_PER_S
 
 _MEMORY_S = 1.0
@@ -37,6 +36,8 @@ _STEADIEST, _WILDEST = 0.25, 10.0
 """Limits of the factor of a rate's variance."""
 Ray = tuple[float, float, float]
 """A direction in the camera's frame."""
+Rows = Sequence[Sequence[float]]
+"""A (4, 4) matrix row by row."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ class Jitter:
     def after(self, stamp_ns: int, filtered: RateFilter, measured: float, std: float) -> "Jitter":
         """The jitter after a later distance with its standard deviation; ``filtered`` is its prediction."""
         if self.earlier_ns is None:
-            return replace(self, last_ns=stamp_ns, last=measured, earlier_ns=self.last_ns, earlier=self.last)
+            return changed(self, last_ns=stamp_ns, last=measured, earlier_ns=self.last_ns, earlier=self.last)
         share = (self.last_ns - self.earlier_ns) / (stamp_ns - self.earlier_ns)
         residual = self.last - self.earlier * (1 - share) - measured * share
         square = min(residual**2 / (1 + share**2 + (1 - share) ** 2), std**2)
@@ -145,7 +146,7 @@ class Jitter:
 
     def renewed(self) -> "Jitter":
         """The jitter without what it knows of the innovations, for a filter with other variances."""
-        return replace(self, innovation=1.0, lean=0.0)
+        return changed(self, innovation=1.0, lean=0.0)
 
     @property
     def rate_var_scale(self) -> float:
@@ -189,12 +190,14 @@ def start(measured: float, std: float, rate_std: float) -> RateFilter:
     return RateFilter(measured, 0.0, std**2, 0.0, rate_std**2)
 
 
-def change_of_distance_m(now_T_last: Float, ray: Ray, distance_m: float) -> float:
+def change_of_distance_m(now_T_last: Rows, ray: Ray, distance_m: float) -> float:
     """Change of the distance of a stationary point in the direction ``ray``, metres."""
-    direction = np.array(ray)
-    return _length(transform(now_T_last, direction * (distance_m / _length(direction)))) - distance_m
+    scale = distance_m / hypot(*ray)
+    return hypot(*moved(now_T_last, (scale * ray[0], scale * ray[1], scale * ray[2]))) - distance_m
 
 
-def _length(vector: Float) -> float:
-    """Length of a vector, five times as fast as ``np.linalg.norm``."""
-    return sqrt(float(vector.dot(vector)))
+def moved(a_T_b: Rows, point_b: Ray, shift: float = 1.0) -> Ray:
+    """A point in frame a; with ``shift`` 0 a direction. Plain floats are ten times as fast as ``transform``."""
+    x, y, z = point_b
+    first, second, third = (xx * x + xy * y + xz * z + x_0 * shift for xx, xy, xz, x_0 in a_T_b[:3])
+    return first, second, third

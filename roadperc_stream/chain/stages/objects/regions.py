@@ -25,8 +25,8 @@ from roadperc_stream.chain.stages.objects.mosaic import Indices, Mosaic, areas, 
 from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.kernels import divided
-from roadperc_stream.kernels.objects_plain import numbered
-from roadperc_stream.model import Box, Ids, Image
+from roadperc_stream.kernels.objects_plain import Divided, numbered
+from roadperc_stream.model import Box, Ids, Image, Mask
 
 JUMPS = np.array((0.02, 0.04, 0.08), np.float32)
 """Differences of depth between neighbours, as a share of the depth, from which they belong to different regions."""
@@ -63,7 +63,7 @@ GAP = 0.08
 LEAST_POINTS = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Division:
     """K regions of an (H, W) mosaic that is divided in n ways; regions are sorted by way.
 
@@ -72,53 +72,53 @@ class Division:
     half-open box in the mosaic (first column, first row, end column, end row), ``pixels`` (K,) its number of pixels.
     """
 
+    mosaic: Mosaic
     labels: Labels
     names: Indices
     ways: Indices
     bounds: Indices
     pixels: Indices
 
-    def of_region(self, k: int) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-        """(labels,) mask of the labels of a region, and its rows and columns in the mosaic."""
+    def of_region(self, k: int) -> tuple[Mask, tuple[slice, slice]]:
+        """(h, w) mask of a region, and its rows and columns in the mosaic."""
         x0, y0, x1, y1 = self.bounds[:, k].tolist()
-        inside: NDArray[np.bool_] = self.names[self.ways[k]] == k + 1
-        return inside, (slice(y0, y1), slice(x0, x1))
+        part, way = (slice(y0, y1), slice(x0, x1)), self.ways[k]
+        labels = self.labels[part]
+        mask: Mask = labels == k + 1 if way == 0 else (self.names[way] == k + 1)[labels]
+        return mask, part
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Pixels that may be the object of detection ``owner``. Regions are compared by identity.
+    """Pixels that may be the object of detection ``owner``: region ``number`` of a division.
 
-    ``of_region`` (n,) is the mask of the region's labels in the (h, w) ``labels``. ``distances_m`` and their ``noise``,
-    a share of the distance, are None without depth. ``box_px`` is the bounding box of the pixels in the image, limited
-    to the surroundings of the detection's box. ``fit``, 0 to 1, is how well it fits the detection's box.
+    Regions are compared by identity. ``box_px`` is the bounding box of the pixels in the image, limited to the
+    surroundings of the detection's box. ``fit``, 0 to 1, is how well it fits the detection's box.
     """
 
     owner: int
     box_px: Box
     fit: float
-    labels: Labels
-    of_region: NDArray[np.bool_]
-    distances_m: Float32 | None
-    noise: Float32 | None
+    division: Division
+    number: int
 
 
 def divide(mosaic: Mosaic) -> Division:
     """The regions of a mosaic; empty without pixels, or with neither instance masks nor depth."""
     if mosaic.ids is not None:
-        return _by_instance(mosaic.ids, mosaic.of_class, mosaic.tops)
+        return Division(mosaic, *_by_instance(mosaic.ids, mosaic.of_class, mosaic.tops))
     if mosaic.log_depth is not None:
-        return Division(*divided(mosaic.log_depth, mosaic.of_class, JUMPS))
-    return Division(*numbered(np.zeros(mosaic.of_class.shape, np.int32), 0))
+        return Division(mosaic, *divided(mosaic.log_depth, mosaic.of_class, JUMPS))
+    return Division(mosaic, *numbered(np.zeros(mosaic.of_class.shape, np.int32), 0))
 
 
-def _by_instance(ids: Ids, of_class: Image, tops: Indices) -> Division:
+def _by_instance(ids: Ids, of_class: Image, tops: Indices) -> Divided:
     """The instances of the class in each cutout."""
     cutout = np.repeat(np.arange(len(tops) - 1), np.diff(tops))[:, None]
     owned = np.where((of_class > 0) & (ids > 0), cutout * 2**16 + ids, 0)
     numbers = np.unique(owned[owned > 0])
     labels = np.where(owned > 0, np.searchsorted(numbers, owned) + 1, 0).astype(np.int32)
-    return Division(*numbered(labels, len(numbers)))
+    return numbered(labels, len(numbers))
 
 
 def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[tuple[Region, ...]]:
@@ -136,11 +136,11 @@ def find_regions(camera: Camera, mosaic: Mosaic, boxes: Sequence[Box]) -> list[t
         owners = np.searchsorted(mosaic.tops, division.bounds[1], side="right") - 1
         around = boxes_of(mosaic, owners, division.bounds)
         fits = np.where(division.pixels >= LEAST_PIXELS, fits_of_bounds(inside[:, owners], around), 0.0)
-        fitting = np.flatnonzero(fits >= LEAST_FIT)
-        for k in fitting[np.argsort(-fits[fitting], kind="stable")].tolist():
-            of_owner = found[owners[k]]
-            if len(of_owner) < MOST_REGIONS:
-                of_owner.append(_region(mosaic, division, k, int(owners[k]), around[:, k], fits[k]))
+        best_first = np.argsort(-fits, kind="stable")[: np.count_nonzero(fits >= LEAST_FIT)]
+        columns = (best_first, owners[best_first], fits[best_first], around[:, best_first].T)
+        for k, owner, fit, box in zip(*(column.tolist() for column in columns), strict=True):
+            if len(found[owner]) < MOST_REGIONS:
+                found[owner].append(Region(owner, Box(*box), fit, division, k))
     return [tuple(regions) for regions in found]
 
 
@@ -163,13 +163,6 @@ def _common(ours: Float, theirs: Float) -> Float:
     return np.concatenate((np.maximum(ours[:2], theirs[:2]), np.minimum(ours[2:], theirs[2:])))
 
 
-def _region(mosaic: Mosaic, division: Division, k: int, owner: int, box: Float, fit: float) -> Region:
-    of_region, part = division.of_region(k)
-    distances = None if mosaic.distances_m is None else mosaic.distances_m[part]
-    noise = None if mosaic.noise is None else mosaic.noise[part]
-    return Region(owner, Box(*box.tolist()), float(fit), division.labels[part], of_region, distances, noise)
-
-
 @dataclass(frozen=True)
 class Measured:
     """A distance and its standard deviation in metres, None if unknown, and whether it is beyond the range."""
@@ -188,30 +181,29 @@ def of_region(cfg: ObjectsConfig, region: Region, inverse_std: float = 0.0) -> M
 
     ``inverse_std`` as in ``nearest``.
     """
-    distances, noise = region.distances_m, region.noise
-    if distances is None or noise is None:
+    mosaic = region.division.mosaic
+    if mosaic.distances_m is None or mosaic.noise is None or mosaic.beyond is None:
         return UNKNOWN
-    near, noise_of_finite = _smoothed(region.of_region[region.labels], distances, noise)
-    measured = nearest(cfg, near, inverse_std)
+    mask, part = region.division.of_region(region.number)
+    near_m, known = _smoothed(mask, mosaic.distances_m[part])
+    if beyond := np.count_nonzero(mask & mosaic.beyond[part]):
+        near_m = np.append(near_m, np.full(beyond, np.inf, np.float32))
+    measured = _nearest(cfg, near_m, inverse_std)
     if measured.distance_m is None or measured.std_m is None:
         return measured
+    noise = mosaic.noise[part][known]
     # Four times as fast as np.mean.
-    share = NOISE_LEFT * float(np.add.reduce(noise_of_finite) / len(noise_of_finite)) + SMOOTHING_STD
-    doubt_m = _doubt_m(region.fit, measured.distance_m, ranked(near, 0.5)[0] - measured.distance_m)
+    share = NOISE_LEFT * float(np.add.reduce(noise) / len(noise)) + SMOOTHING_STD
+    doubt_m = _doubt_m(region.fit, measured.distance_m, near_m)
     return Measured(measured.distance_m, hypot(measured.std_m, share * measured.distance_m, doubt_m))
 
 
-def _smoothed(of_region: NDArray[np.bool_], distances_m: Float32, noise: Float32) -> tuple[Float32, Float32]:
-    """The known distances of a region, each the mean of its finite ones in the 3x3 square, and the noise of the finite.
-
-    Both are of the pixels row by row, of which (h, w) ``of_region`` is the mask. Infinite distances stay infinite.
-    """
-    finite = of_region & (distances_m < np.inf)
-    known_m = np.where(finite, distances_m, np.float32(0))
-    sums = _sums_around(known_m, cv2.CV_64F).astype(np.float32)
-    counts = np.maximum(_sums_around(finite.view(np.uint8), cv2.CV_8U), np.uint8(1))
-    near = np.where(finite, sums / counts, distances_m)
-    return near[of_region & ~np.isnan(distances_m)], noise[finite]
+def _smoothed(of_region: Mask, distances_m: Float32) -> tuple[Float32, Mask]:
+    """The distances above 0 of a region, each the mean of those in the 3x3 square, and the (h, w) mask of them."""
+    known_m = distances_m * of_region
+    known = known_m > 0
+    sums, counts = _sums_around(known_m, cv2.CV_32F), _sums_around(known.view(np.uint8), cv2.CV_8U)
+    return sums[known] / counts[known], known
 
 
 def _sums_around(values: NDArray[Any], depth: int) -> NDArray[Any]:
@@ -220,12 +212,14 @@ def _sums_around(values: NDArray[Any], depth: int) -> NDArray[Any]:
     return np.asarray(sums)
 
 
-def _doubt_m(fit: float, distance_m: float, spread_m: float) -> float:
+def _doubt_m(fit: float, distance_m: float, near_m: Float32) -> float:
     """Standard deviation, because far regions may join two cars of a row or be the next car, metres.
 
-    ``spread_m`` is how far the middle one of the pixels' distances is behind the distance.
+    ``near_m`` are the distances of the pixels; the middle one of a joined region is far behind its distance.
     """
     next_m = _NEXT_CAR_M if distance_m > _ROWS_FROM_M else 0.0
+    behind = np.count_nonzero(near_m > distance_m + _JOINED_M)
+    spread_m = ranked(near_m, 0.5)[0] - distance_m if 2 * behind >= len(near_m) else 0.0
     if _JOINED_M < spread_m < np.inf:
         return max(spread_m, next_m)
     return next_m if fit < _SURE_FIT else 0.0
@@ -252,7 +246,10 @@ def nearest(cfg: ObjectsConfig, distances_m: NDArray[np.floating[Any]], inverse_
     The standard deviation is the spread of the pixels around the quantile, at least ``objects.min_distance_std_m``.
     Depth of stereo has ``inverse_std``, the standard deviation of 1 / depth that the pixels share, and wrong matches.
     """
-    known = distances_m[~np.isnan(distances_m)]
+    return _nearest(cfg, distances_m[~np.isnan(distances_m)], inverse_std)
+
+
+def _nearest(cfg: ObjectsConfig, known: NDArray[np.floating[Any]], inverse_std: float) -> Measured:
     if not len(known):
         return UNKNOWN
     quantile = cfg.distance_quantile

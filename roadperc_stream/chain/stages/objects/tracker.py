@@ -6,7 +6,7 @@ each other keep their ids.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
@@ -16,8 +16,8 @@ from roadperc_stream.chain.stages.objects.association import overlap_similaritie
 from roadperc_stream.chain.stages.objects.contact import Contact, GroundPlane
 from roadperc_stream.chain.stages.objects.filtering import divides, filter_detections
 from roadperc_stream.chain.stages.objects.mosaic import corners, kinds, overlaps
-from roadperc_stream.chain.stages.objects.object_track import ObjectTrack, distance_std_m
-from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extent, judged, path_of
+from roadperc_stream.chain.stages.objects.object_track import Extent, ObjectTrack, distance_std_m
+from roadperc_stream.chain.stages.objects.path import DrivenArc, EgoPath, extents, judged, path_of
 from roadperc_stream.chain.stages.objects.place import Sighting, sighting
 from roadperc_stream.chain.stages.objects.regions import Measured
 from roadperc_stream.chain.stages.objects.template import Template, cut, find_obstacle
@@ -25,6 +25,7 @@ from roadperc_stream.config import ObjectsConfig
 from roadperc_stream.geometry import Camera, Float, inverse
 from roadperc_stream.geometry.assignment import largest_total
 from roadperc_stream.model import Absent, Box, Correlation, Detection, Lanes, Object, Objects
+from roadperc_stream.model.changed import changed
 from roadperc_stream.model.frame import Frame
 
 MOST_TRACKS = 256
@@ -108,9 +109,11 @@ def step(
     own = contact.with_distances(frame.camera, own, contacts)
     kept = _kept(cfg, frame, own)
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes, kept.seen))
+    tracks_of = _detected(cfg, state.next_number, frame, known, kept, pairs)
+    edges = extents(frame, path, [own[k] for k in tracks_of])
     detected = {
-        k: _placed(cfg, frame, path, own[k], track, contacts.get(k))
-        for k, track in _detected(cfg, state.next_number, frame, known, kept, pairs).items()
+        k: _placed(cfg, frame, path, own[k], track, contacts.get(k), of_item)
+        for (k, track), of_item in zip(tracks_of.items(), edges, strict=True)
     }
     missed = [object_track.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
     searched = _searched(cfg, frame, path, missed, kept)
@@ -140,7 +143,7 @@ def _known(
     """The tracks predicted to this frame. Without depth the motion's scale is too uncertain for the filters."""
     now_T_last = None
     if last_T_this is not None and with_depth:
-        now_T_last = inverse(last_T_this @ frame.ego_T_camera) @ frame.ego_T_camera
+        now_T_last = (inverse(last_T_this @ frame.ego_T_camera) @ frame.ego_T_camera).tolist()
     last = [object_track.with_depth(track) for track in state.tracks] if with_depth else state.tracks
     known = [object_track.predict(cfg, track, frame.stamp_ns, now_T_last) for track in last]
     known = [track for track in known if not object_track.expired(cfg, track)]
@@ -228,16 +231,22 @@ def _is_cut(camera: Camera, box: Box) -> bool:
 
 
 def _placed(
-    cfg: ObjectsConfig, frame: Frame, path: EgoPath, item: Object, track: ObjectTrack, at: Contact | None
+    cfg: ObjectsConfig,
+    frame: Frame,
+    path: EgoPath,
+    item: Object,
+    track: ObjectTrack,
+    at: Contact | None,
+    edges: Extent | None,
 ) -> ObjectTrack:
     """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
     template = _template(cfg, frame, track)
     if at is None:
         return object_track.seen_at(
-            object_track.placed(track, extent(frame, path, item), template), _sighting(cfg, frame, item, track.box_px)
+            object_track.placed(track, edges, template), _sighting(cfg, frame, item, track.box_px)
         )
     track = object_track.placed(track, contact.extent(frame, path, item, at), template)
-    track, box = replace(track, ground_share=at.common_share), track.box_px
+    track, box = changed(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
     return object_track.grown(cfg, track, edge_std_px) if at.clear else track
 
@@ -255,20 +264,29 @@ def _searched(
 ) -> list[_Searched]:
     """The tracks, with objects where their templates match, or where their own pixels are at their predicted places.
 
-    The objects are filtered as detections are.
+    The objects are filtered as detections are. Tags or depth may contradict one; without a match of the template, its
+    distance must be the predicted one. An object that overlaps a kept detection is dropped.
     """
     matches = [_matched(cfg, frame, track) for track in tracks]
     boxes = [_sought(cfg, frame, track, matched) for track, (matched, _) in zip(tracks, matches, strict=True)]
-    sought = [replace(track, box_px=box) for track, box in zip(tracks, boxes, strict=True) if box is not None]
-    detections = tuple(replace(track.detection, box_px=track.box_px) for track in sought)
-    expected = {k: object_track.expected(cfg, track) for k, track in enumerate(sought)}
+    sought = {k: box for k, box in enumerate(boxes) if box is not None}
+    detections = tuple(changed(tracks[k].detection, box_px=box) for k, box in sought.items())
+    expected = {k: object_track.expected(cfg, tracks[of_track]) for k, of_track in enumerate(sought)}
     filtered = filter_detections(cfg, frame, detections, expected) if detections else None
-    items = iter(filtered.objects if isinstance(filtered, Objects) else ())
+    found: dict[int, tuple[Object, ObjectTrack]] = {}
+    items = filtered.objects if isinstance(filtered, Objects) else ()
+    for (k, box), item in zip(sought.items(), items, strict=True):
+        if item.kept and (matches[k][0] is not None or object_track.agrees(cfg, tracks[k], item)):
+            after = object_track.observed(cfg, tracks[k], item, box, cut=_is_cut(frame.camera, box))
+            found[k] = changed(item, status="tracked"), after
+    overlaps = overlap_similarities(cfg, [track for _, track in found.values()], kept.items, kept.boxes)
+    found = {k: of_track for (k, of_track), overlap in zip(found.items(), overlaps, strict=True) if not overlap.any()}
+    edges = dict(zip(found, extents(frame, path, [item for item, _ in found.values()]), strict=True))
     return [
-        _Searched(track, None, correlation)
-        if box is None
-        else _found(cfg, frame, path, _Searched(track, next(items), correlation), kept, by_template=matched is not None)
-        for track, box, (matched, correlation) in zip(tracks, boxes, matches, strict=True)
+        _Searched(object_track.placed(found[k][1], edges[k], track.template), found[k][0], correlation)
+        if k in found
+        else _Searched(track, None, correlation)
+        for k, (track, (_, correlation)) in enumerate(zip(tracks, matches, strict=True))
     ]
 
 
@@ -279,26 +297,6 @@ def _sought(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack, matched: Box |
         return None
     box = _within(frame.camera, matched or track.box_px)
     return box if matched or (box.x_min < box.x_max and box.y_min < box.y_max) else None
-
-
-def _found(
-    cfg: ObjectsConfig, frame: Frame, path: EgoPath, searched: _Searched, kept: _Kept, *, by_template: bool
-) -> _Searched:
-    """The track after its object; the object is dropped if it overlaps a kept detection, or is contradicted.
-
-    Tags or depth may contradict it. Without a match of the template, its distance must be the predicted one.
-    """
-    track, item = searched.track, searched.item
-    lost = replace(searched, item=None)
-    if item is None or not item.kept or not (by_template or object_track.agrees(cfg, track, item)):
-        return lost
-    item = replace(item, status="tracked")
-    box = item.detection.box_px
-    after = object_track.observed(cfg, track, item, box, cut=_is_cut(frame.camera, box))
-    if overlap_similarities(cfg, [after], kept.items, kept.boxes).any():
-        return lost
-    track = object_track.placed(after, extent(frame, path, item), after.template)
-    return replace(searched, track=track, item=item)
 
 
 def _matched(cfg: ObjectsConfig, frame: Frame, track: ObjectTrack) -> tuple[Box | None, Correlation | None]:

@@ -47,7 +47,7 @@ def test_places_beside_a_circle_are_at_right_angles_to_it(radius_m, offset_m, he
     middle = np.stack((np.sin(turned) - np.sin(heading), np.cos(heading) - np.cos(turned)), axis=-1) * radius_m
     points = middle + [0, offset_m] + aside[:, None] * np.stack((-np.sin(turned), np.cos(turned)), axis=-1)
     for (x, y), expected in zip(points, aside, strict=True):
-        lateral = left_of(path, np.array([[x, y, 0.0]]), np.eye(4))
+        lateral = left_of(path, np.array([x]), np.array([y]))
         assert lateral == pytest.approx([expected], abs=1e-5)
 
 
@@ -74,7 +74,7 @@ def test_where_a_lane_splits_the_path_follows_the_boundary_that_is_sure():
     splits = replace(right, heading=0.02, curvature_per_m=-0.004, covariance=unsure)
     path = path_of(replace(lane, boundaries=(replace(left, covariance=sure), splits)), RIGHT_BEND)
     assert (path.source, path.offset_m) == ("lane", 0.25)
-    assert abs(left_of(path, np.array([[30.0, 0.25 + 0.3, 0.0]]), np.eye(4))[0]) < 0.2
+    assert abs(left_of(path, np.array([30.0]), np.array([0.25 + 0.3]))[0]) < 0.2
 
 
 @pytest.mark.parametrize("ego_lane", [None, lanes(None, None), lanes(-1.8, -1.35)])

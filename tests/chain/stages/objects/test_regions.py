@@ -46,7 +46,8 @@ def regions_of(*boxes, tags=None, depth=None, instances=None):
 
 def distances_m(region):
     """The distances of the region's pixels."""
-    return region.distances_m[region.of_region[region.labels]]
+    mask, part = region.division.of_region(region.number)
+    return region.division.mosaic.distances_m[part][mask]
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.02])
@@ -65,9 +66,10 @@ def test_a_far_region_that_may_be_another_car_of_a_row_is_uncertain(fit, next_m,
     depth[:] = 60.0
     depth[30:60, 80:140] = 45.0
     ((region, *_),) = regions_of(FAR, tags=tags, depth=depth)
-    distances = region.distances_m.copy()
-    distances[:, 10:] += next_m
-    std_m = of_region(ObjectsConfig(), replace(region, fit=fit, distances_m=distances)).std_m
+    distances = region.division.mosaic.distances_m.copy()
+    distances[:, int(region.division.bounds[0, region.number]) + 10 :] += next_m
+    division = replace(region.division, mosaic=replace(region.division.mosaic, distances_m=distances))
+    std_m = of_region(ObjectsConfig(), replace(region, fit=fit, division=division)).std_m
     assert least_m <= std_m <= most_m
 
 
@@ -114,7 +116,7 @@ def test_instances_divide_at_equal_depth():
     assert [regions[0].fit for regions in found] == [1.0, 1.0]
     without_depth = regions_of(left, right, tags=tags, instances=ids)
     assert [regions[0].box_px for regions in without_depth] == [left, right]
-    assert without_depth[0][0].distances_m is None
+    assert without_depth[0][0].division.mosaic.distances_m is None
 
 
 def test_isolated_pixels_and_pairs_belong_to_no_region():
@@ -151,13 +153,13 @@ def test_boxes_without_pixels_have_no_regions(box):
 def test_unknown_depth_does_not_divide_or_measure():
     tags, depth = rows_of_cars()
     (region,) = regions_of(NEAR, tags=tags, depth=np.full_like(depth, np.nan))[0][:1]
-    assert np.isnan(distances_m(region)).all()
+    assert not distances_m(region).any()
 
 
 def mosaic_of(of_class, log_depth):
     ends = np.array([0, len(of_class)])
     steps = np.ones((1, 2), int)
-    return Mosaic(steps - 1, steps, ends, of_class, log_depth, None, None, None)
+    return Mosaic(steps - 1, steps, ends, of_class, None, of_class, log_depth, None, None, None, None)
 
 
 def connected(of_class, log_depth, jump):
@@ -173,8 +175,7 @@ def connected(of_class, log_depth, jump):
 
 def pixels_of(division):
     for k in range(len(division.pixels)):
-        of_region, (rows, columns) = division.of_region(k)
-        mask = of_region[division.labels[rows, columns]]
+        mask, (rows, columns) = division.of_region(k)
         assert mask.any(axis=0)[[0, -1]].all()
         assert mask.any(axis=1)[[0, -1]].all()
         assert mask.sum() == division.pixels[k]
@@ -201,7 +202,6 @@ def test_no_pixels_of_the_class():
 
 def test_a_distance_is_the_mean_of_the_regions_known_ones_around_it():
     of_region = np.array([[1, 1, 1, 1], [0, 1, 1, 0]], bool)
-    distances_m = np.float32([[1, 2, np.nan, np.inf], [100, 6, 9, 100]])
-    near_m, noise = regions._smoothed(of_region, distances_m, np.float32([[1, 2, 3, 4], [5, 6, 7, 8]]))
-    assert near_m.tolist() == [3.0, 4.5, np.inf, 4.5, np.float32(17 / 3)]
-    assert noise.tolist() == [1.0, 2.0, 6.0, 7.0]
+    near_m, known = regions._smoothed(of_region, np.float32([[1, 2, 0, 0], [100, 6, 9, 100]]))
+    assert near_m.tolist() == [3.0, 4.5, 4.5, np.float32(17 / 3)]
+    assert known.tolist() == [[True, True, False, False], [False, True, True, False]]
