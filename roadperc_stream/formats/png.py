@@ -159,9 +159,11 @@ def encode_mask(mask: Mask, colours: tuple[Colour, Colour]) -> bytes:
     """Palette PNG of an (H, W) mask: index 0 for False, 1 for True."""
     rows, columns = mask.shape
     header = _HEADER.pack(columns, rows, 1, PALETTE, 0, 0, 0)
-    scanlines = np.pad(np.packbits(mask, axis=1), ((0, 0), (1, 0)))  # filter type 0: none
+    bits = np.packbits(mask, axis=1)
+    scanlines = np.zeros((rows, 1 + bits.shape[1]), np.uint8)  # filter type 0: none
+    scanlines[:, 1:] = bits
     runs = zlib.compressobj(strategy=zlib.Z_RLE)  # masks consist of runs
-    data = runs.compress(scanlines.tobytes()) + runs.flush()
+    data = runs.compress(scanlines.data) + runs.flush()
     chunks = {b"IHDR": header, b"PLTE": bytes(np.array(colours, np.uint8)), b"IDAT": data, b"IEND": b""}
     return MAGIC + b"".join(_chunk_of(kind, content) for kind, content in chunks.items())
 

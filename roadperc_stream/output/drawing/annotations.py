@@ -1,6 +1,6 @@
 """Encodes results for viewers: foxglove.ImageAnnotations over the image, foxglove.SceneUpdate in 3D."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache, lru_cache
 from typing import Any, Final
 
@@ -132,39 +132,43 @@ def objects_scene(stamp_ns: int, camera: Camera, ego_T_camera: Float, objects: O
     set_stamp(entity, stamp_ns)
     x, y, z, w = quaternion(ego_T_camera[:3, :3])
     sides_of_image = Quaternion(x=x, y=y, z=z, w=w)
-    for item, place in zip(objects.objects, _places(camera, objects.objects), strict=True):
-        if item.kept and item.distance_m is not None:
-            centre_m, size_m = box_in_space(camera, item.detection.box_px, item.distance_m)
-            position = Vector3(**_xyz(transform(ego_T_camera, centre_m)))
-            colour, _ = _box_style(item)
-            entity.cubes.add(
-                pose=Pose(position=position, orientation=sides_of_image),
-                size=Vector3(**_xyz(size_m)),
-                color=_color(colour, 0.5),
+    places = zip(objects.objects, _places(camera, objects.objects), strict=True)
+    shown = [(item, place) for item, place in places if item.kept and item.distance_m is not None]
+    centres_m, sizes_m = slabs(camera, [item for item, _ in shown])
+    positions = transform(ego_T_camera, centres_m).tolist()
+    for (item, place), (x, y, z), size_m in zip(shown, positions, sizes_m.tolist(), strict=True):
+        colour, _ = _box_style(item)
+        width_m, height_m, thick_m = size_m
+        entity.cubes.add(
+            pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=sides_of_image),
+            size=Vector3(x=width_m, y=height_m, z=thick_m),
+            color=_color(colour, 0.5),
+        )
+        if place is not None:
+            entity.texts.add(
+                pose=Pose(position=Vector3(x=x, y=y, z=z + height_m / 2), orientation=Quaternion(w=1.0)),
+                billboard=True,
+                font_size=_CAPTION_M,
+                color=_color(colour),
+                text=caption(item),
             )
-            if place is not None:
-                above = Vector3(x=position.x, y=position.y, z=position.z + float(size_m[1]) / 2)
-                entity.texts.add(
-                    pose=Pose(position=above, orientation=Quaternion(w=1.0)),
-                    billboard=True,
-                    font_size=_CAPTION_M,
-                    color=_color(colour),
-                    text=caption(item),
-                )
     return message.SerializeToString()
 
 
-def box_in_space(camera: Camera, box: Box, distance_m: float) -> tuple[Float, Float]:
-    """(3,) centre and (3,) sides, metres in the camera frame, of a slab that covers a box at a distance.
+def slabs(camera: Camera, objects: Sequence[Object]) -> tuple[Float, Float]:
+    """(N, 3) centres and (N, 3) sides, metres in the camera frame, of slabs that cover objects at their distances.
 
-    It is perpendicular to the camera axis, on the ray through the box's centre. The slab is thin because one view does
-    not show an object's depth.
+    They are perpendicular to the camera axis, on the rays through the boxes' centres. A slab is thin because one view
+    does not show an object's depth.
     """
-    corners = _corners(box)
-    ray = rays(camera, corners.mean(axis=0))
-    depth_m = distance_m / float(np.linalg.norm(ray))
-    columns, rows = corners[2] - corners[0] + 1
-    return ray * depth_m, np.array([columns * depth_m / camera.fx, rows * depth_m / camera.fy, _SLAB_M])
+    boxes = [item.detection.box_px for item in objects]
+    low_px = np.array([(box.x_min, box.y_min) for box in boxes]).reshape(-1, 2)
+    high_px = np.array([(box.x_max, box.y_max) for box in boxes]).reshape(-1, 2)
+    centres = rays(camera, (low_px + high_px - 1) / 2)
+    distances_m = np.array([item.distance_m for item in objects], float)
+    depths_m = (distances_m / np.linalg.norm(centres, axis=1))[:, None]
+    sides_m = (high_px - low_px) / (camera.fx, camera.fy) * depths_m
+    return centres * depths_m, np.append(sides_m, np.full_like(depths_m, _SLAB_M), axis=1)
 
 
 def road_patch(surface: Surface) -> Float:
@@ -184,7 +188,10 @@ def patch_triangles(patch: Float) -> NDArray[np.int64]:
 
 def _outline(surface: Surface, camera: Camera, ego_T_camera: Float, mask: Mask) -> Float:
     """(N, 3) ego points on the outline of the largest drivable region, without those beyond 60 m."""
-    contours, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    top = int(mask.argmax()) // mask.shape[1]  # nothing is set above the first set pixel
+    contours, _ = cv2.findContours(
+        mask[top:].view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(0, top)
+    )
     if not contours:
         return np.empty((0, 3))
     largest = max(contours, key=cv2.contourArea)
@@ -254,7 +261,3 @@ def _color(colour: Colour, alpha: float = 1.0) -> Color:
 
 def _points3(points: Float) -> Iterator[Point3]:
     return (Point3(x=x, y=y, z=z) for x, y, z in points.tolist())
-
-
-def _xyz(point: Iterable[float]) -> dict[str, float]:
-    return dict(zip("xyz", map(float, point), strict=True))

@@ -10,7 +10,7 @@ from roadperc_stream.geometry import Camera, Float, inside_image
 from roadperc_stream.model import EGO, Boundary, Box, Detection, Lanes, Object, Objects
 from roadperc_stream.model.tag_tables import Colour
 from roadperc_stream.output.drawing import colours
-from roadperc_stream.output.drawing.annotations import box_in_space, caption
+from roadperc_stream.output.drawing.annotations import caption, slabs
 from roadperc_stream.output.drawing.captions import caption_places, viewer_text_size
 from roadperc_stream.view.rerun.tree import Entry, SceneState, annotation_context
 
@@ -104,12 +104,11 @@ def _in_space(
 ) -> Iterator[Entry]:
     """Objects with a distance, and captions of those with a caption in the image."""
     near = [(*pair, place) for pair, place in zip(kept, places, strict=True) if pair[0].distance_m]
-    slabs = [box_in_space(camera, item.detection.box_px, item.distance_m or 0.0) for item, _, _ in near]
-    centres = np.array([centre for centre, _ in slabs]).reshape(-1, 3)
+    centres, sizes = slabs(camera, [item for item, _, _ in near])
     classes, texts = [_BOX_IDS[box] for _, box, _ in near], [caption(item) for item, _, _ in near]
     boxes = rr.Boxes3D(
         centers=centres,
-        sizes=np.array([size for _, size in slabs]).reshape(-1, 3),
+        sizes=sizes,
         class_ids=classes,
         labels=texts,
         show_labels=False,
