@@ -3,11 +3,11 @@
 A standing car also gives equal images if they have no noise, as rendered ones. Its pose is then constant.
 """
 
-import zlib
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from deflate import crc32
 from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.odometry.brightness import shows_nothing
@@ -47,12 +47,12 @@ def _beside(frame: Frame) -> Marks:
         return frame.pose_mark, None, None, None
     depth = None if frame.raw_depth_m is None else _mark(frame.raw_depth_m[::_EVERY])
     tags = None if frame.tags is None else _mark(frame.tags[::_EVERY])
-    detections = None if frame.detections is None else zlib.crc32(repr(frame.detections).encode())
+    detections = None if frame.detections is None else crc32(repr(frame.detections).encode())
     return None, depth, tags, detections
 
 
 def _mark(values: NDArray[Any]) -> int:
-    return zlib.crc32(np.ascontiguousarray(values).data)
+    return crc32(np.ascontiguousarray(values).data)
 
 
 def _changed(before: Marks, now: Marks) -> bool:

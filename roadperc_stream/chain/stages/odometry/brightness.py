@@ -73,8 +73,9 @@ def _difference(one: Image, other: Image) -> float:
 
 def _shares(grey: Image) -> Float:
     """(256,) share of the pixels at each grey level."""
-    sampled = grey[::_EVERY, ::_EVERY]
-    return np.bincount(sampled.ravel(), minlength=256) / sampled.size
+    sampled = np.ascontiguousarray(grey[::_EVERY, ::_EVERY])
+    counts = cv2.calcHist([sampled], [0], None, [256], [0, 256])
+    return np.asarray(counts, np.float64).ravel() / sampled.size
 
 
 def _quantiles(grey: Image) -> Float:
