@@ -185,12 +185,13 @@ cdef void _found(const Levels* image, const double* px, const Stretched* stretch
     _sampled(image, &places, PIXELS, _is_inside(image, px[0], px[1], stretched.reach_x, stretched.reach_y), found)
 
 
-cdef void _shift(
+cdef double _shift(
     const Levels* image, const Patch* patch, const Stretched* stretched, const double* stretch, double* px
 ) noexcept nogil:
-    """Move the pixel by one Gauss-Newton step."""
+    """Move the pixel by one Gauss-Newton step; its squared length."""
     cdef double found[PIXELS]
     cdef double error, x = 0, y = 0, determinant = patch.xx * patch.yy - patch.xy * patch.xy, shift_x, shift_y
+    cdef double step_x, step_y
     cdef int k
     _found(image, px, stretched, found)
     for k in range(PIXELS):
@@ -199,8 +200,11 @@ cdef void _shift(
         y += patch.gy[k] * error
     shift_x = (patch.yy * x - patch.xy * y) / determinant
     shift_y = (patch.xx * y - patch.xy * x) / determinant
-    px[0] -= stretch[0] * shift_x + stretch[1] * shift_y
-    px[1] -= stretch[2] * shift_x + stretch[3] * shift_y
+    step_x = stretch[0] * shift_x + stretch[1] * shift_y
+    step_y = stretch[2] * shift_x + stretch[3] * shift_y
+    px[0] -= step_x
+    px[1] -= step_y
+    return step_x * step_x + step_y * step_y
 
 
 cdef double _correlation(
@@ -219,7 +223,7 @@ cdef double _correlation(
 
 def align_patches(
     const uint8_t[:, ::1] before, const double[:, ::1] before_px, const double[:, :, ::1] stretch,
-    const uint8_t[:, ::1] after, double[:, ::1] px, int iterations,
+    const uint8_t[:, ::1] after, double[:, ::1] px, int iterations, double still_px,
 ):
     cdef Py_ssize_t count = px.shape[0], i
     cdef Levels first, second
@@ -237,6 +241,7 @@ def align_patches(
             _cut(&first, before_px[i, 0], before_px[i, 1], &patch)
             _stretch(&stretch[i, 0, 0], &stretched)
             for step in range(iterations):
-                _shift(&second, &patch, &stretched, &stretch[i, 0, 0], &px[i, 0])
+                if _shift(&second, &patch, &stretched, &stretch[i, 0, 0], &px[i, 0]) < still_px * still_px:
+                    break
             correlation[i] = _correlation(&second, &patch, &stretched, &px[i, 0])
     return np.asarray(correlation)

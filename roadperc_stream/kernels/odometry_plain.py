@@ -19,12 +19,14 @@ FLAT: Final = 1e-3
 _SIDE: Final = 2 * REACH_PX + 1
 
 
-def align_patches(before: Image, before_px: Float, stretch: Float, after: Image, px: Float, iterations: int) -> Float:
+def align_patches(
+    before: Image, before_px: Float, stretch: Float, after: Image, px: Float, iterations: int, still_px: float
+) -> Float:
     """Shift stretched patches of one image to their best position in another; (N,) correlations there, -1 to 1.
 
     The patches are centred at (N, 2) ``before_px`` of the (H, W) image ``before``. ``stretch`` (N, 2, 2) is the
     derivative of the pixel in ``after`` (H, W) by the pixel in ``before``. The search begins at (N, 2) ``px``, which it
-    overwrites with its results.
+    overwrites with its results, and ends at the last iteration or at a shift below ``still_px``.
     """
     down, right = np.mgrid[-REACH_PX - 1 : REACH_PX + 2, -REACH_PX - 1 : REACH_PX + 2].astype(float)
     around = _sampled(before, before_px[:, 0, None, None] + right, before_px[:, 1, None, None] + down)
@@ -36,12 +38,17 @@ def align_patches(before: Image, before_px: Float, stretch: Float, after: Image,
     down, right = (offset[1:-1, 1:-1].ravel() for offset in (down, right))
     across = stretch[:, 0, 0, None] * right + stretch[:, 0, 1, None] * down
     along = stretch[:, 1, 0, None] * right + stretch[:, 1, 1, None] * down
+    moving = np.arange(len(px))
     for _ in range(iterations):
-        error = _sampled(after, px[:, 0, None] + across, px[:, 1, None] + along) - template
-        x, y = _summed(gx * error), _summed(gy * error)
-        shift_x, shift_y = (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
-        px[:, 0] -= stretch[:, 0, 0] * shift_x + stretch[:, 0, 1] * shift_y
-        px[:, 1] -= stretch[:, 1, 0] * shift_x + stretch[:, 1, 1] * shift_y
+        i = moving
+        error = _sampled(after, px[i, 0, None] + across[i], px[i, 1, None] + along[i]) - template[i]
+        x, y = _summed(gx[i] * error), _summed(gy[i] * error)
+        shift_x = (yy[i] * x - xy[i] * y) / determinant[i]
+        shift_y = (xx[i] * y - xy[i] * x) / determinant[i]
+        step_x = stretch[i, 0, 0] * shift_x + stretch[i, 0, 1] * shift_y
+        step_y = stretch[i, 1, 0] * shift_x + stretch[i, 1, 1] * shift_y
+        px[i] -= np.stack((step_x, step_y), axis=-1)
+        moving = i[~(step_x * step_x + step_y * step_y < still_px * still_px)]
     found = _centred(_sampled(after, px[:, 0, None] + across, px[:, 1, None] + along))
     power = _summed(found * found) * _summed(template * template)
     return np.asarray(_summed(found * template) / np.sqrt(power + FLAT))

@@ -11,7 +11,7 @@ from tests.kernels.forms import forms
 FLOATS, MARKS = np.ones((4, 5), np.float32), np.ones((4, 5), np.uint8)
 COLUMN, ROW = np.ones(5, np.float32), np.ones(4, np.float32)
 FIRST, VALUES, WEIGHTS = np.zeros(5, np.intp), np.ones((5, 3)), np.ones(5)
-PATCHES = MARKS, np.zeros((2, 2)), np.zeros((2, 2, 2)), MARKS, np.zeros((2, 2)), 4
+PATCHES = MARKS, np.zeros((2, 2)), np.zeros((2, 2, 2)), MARKS, np.zeros((2, 2)), 4, 0.01
 PIXELS = KnownPixels(FLOATS, None, MARKS, MARKS, np.zeros(256, np.uint8))
 RAYS = Rays(np.ones((3, 5), np.float32), np.ones((3, 4), np.float32), np.ones(3, np.float32))
 COUNTS = np.zeros((2, 2), np.int64), np.zeros((2, 2), np.int64)

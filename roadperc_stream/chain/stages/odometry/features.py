@@ -124,20 +124,18 @@ def tracking_frame(cfg: OdometryConfig, frame: Frame, grey: Image, road: Surface
         # Pixel centres are at integers: u becomes (u - 0.5) / 2.
         camera = replace(part(camera, 2, 2), cx=(camera.cx - 0.5) / 2, cy=(camera.cy - 0.5) / 2)
         shrink *= 2
-    movable = _movable(frame, grey)
+    movable = _movable(frame, shrink)
     return TrackingFrame(camera, frame.ego_T_camera, grey, shrink, frame.dense_depth_m, movable, road, frame.stamp_ns)
 
 
-def _movable(frame: Frame, grey: Image) -> Image | None:
+def _movable(frame: Frame, shrink: int) -> Image | None:
     """(H, W) nonzero on movable objects of the tracked image, widened by half a window; None without tags."""
     if frame.tags is None or frame.table is None:
         return None
-    rows, columns = grey.shape
-    tags = cv2.resize(frame.tags, (columns, rows), interpolation=cv2.INTER_NEAREST)
-    movable: Image = mark(np.asarray(tags, np.uint8), frame.table.lookup(_MOVABLE))
+    movable = mark(frame.tags[::shrink, ::shrink], frame.table.lookup(_MOVABLE))
     if not movable.any():
         return movable
-    side = max(round(scaled(WINDOW_PX, rows)), 1) | 1
+    side = max(round(scaled(WINDOW_PX, len(movable))), 1) | 1
     return np.asarray(cv2.dilate(movable, np.ones((side, side), np.uint8)), np.uint8)
 
 

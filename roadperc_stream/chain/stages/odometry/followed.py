@@ -13,8 +13,8 @@ from roadperc_stream.chain.stages.odometry.keyframes import Keyframe, LastFrame
 from roadperc_stream.chain.stages.odometry.motion import Motion, moved
 from roadperc_stream.chain.stages.odometry.speed import KnownSpeed
 from roadperc_stream.config import OdometryConfig
-from roadperc_stream.geometry import Float, Float32, inverse
-from roadperc_stream.geometry.rotations import rotation_vector
+from roadperc_stream.geometry import Float, Float32, inverse, rigid
+from roadperc_stream.geometry.rotations import rotation_from_vector, rotation_vector
 from roadperc_stream.system.time import NS_PER_S
 
 MIN_INLIER_RATIO: Final = 0.25
@@ -59,7 +59,9 @@ class FollowedFrame:
         if self.last.velocity is None:
             return None
         odom_T_camera = self.odom_T_last @ moved(self.last.velocity * self.seconds) @ self.frame.ego_T_camera
-        return inverse(odom_T_camera) @ self.keyframe.odom_T_camera
+        this_T_key = inverse(odom_T_camera) @ self.keyframe.odom_T_camera
+        # A motion that begins here would double the rounding error of both poses in every frame.
+        return rigid(rotation_from_vector(rotation_vector(this_T_key[:3, :3])), this_T_key[:3, 3])
 
     @property
     def metric_speed(self) -> KnownSpeed | None:
@@ -82,11 +84,13 @@ class FollowedFrame:
 class Estimate:
     """The (N, 2) pixels of the keyframe's features in a frame, and the motion, pose and pitch estimated from them.
 
-    ``by_orb`` is true if optical flow failed and ORB features were matched.
+    ``findable`` is the number of features that the motion predicts in the image if all points are known, else of those
+    found. ``by_orb`` is true if optical flow failed and ORB features were matched.
     """
 
     px: Float32
     motion: Motion
     odom_T_ego: Float
     pitch: CameraPitch
+    findable: int
     by_orb: bool = False

@@ -1,6 +1,7 @@
 """The search for the first motion that a car can make.
 
-The features are looked for where a steady motion predicts them, then near their last pixels; ORB is the last resort.
+With depth the features are aligned where a steady motion predicts them. Without depth, or if they are not near, they
+are matched there, then near their last pixels; ORB is the last resort.
 """
 
 from collections.abc import Iterator
@@ -10,43 +11,64 @@ from typing import Final
 import numpy as np
 
 from roadperc_stream.chain.stages.odometry import keyframes
-from roadperc_stream.chain.stages.odometry.alignment import aligned, predicted_px
-from roadperc_stream.chain.stages.odometry.features import FRONTENDS, TrackingFrame
+from roadperc_stream.chain.stages.odometry.alignment import aligned
+from roadperc_stream.chain.stages.odometry.features import FRONTENDS
 from roadperc_stream.chain.stages.odometry.followed import MIN_INLIER_RATIO, Estimate, FollowedFrame
-from roadperc_stream.chain.stages.odometry.keyframes import Keyframe
 from roadperc_stream.chain.stages.odometry.motion import motion_from_points
 from roadperc_stream.chain.stages.odometry.rivals import along_path, best_shift
 from roadperc_stream.chain.stages.odometry.without_depth import localised_without_depth
 from roadperc_stream.config import scaled
-from roadperc_stream.geometry import Float32, project, transform
+from roadperc_stream.geometry import Float, Float32, project, transform
 from roadperc_stream.model import Absent, Reason
 
 _ASTRAY_PX = 20.0
 """Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
+_NEAR_PX: Final = 0.6
+"""Median distance, at 960 rows, of aligned features from their predicted pixels, above which the nearest points are
+too far off to be aligned. Without them distant points agree with any speed."""
+_MOST_MATCHED: Final = 200
+"""Number of features with depth that are matched: their motion predicts all others well enough to align them."""
 _DEPTH_JITTER_M: Final = 0.07
 """Standard deviation of the difference of two steps by depth with 30 % noise; their covariances do not show it."""
 
 
 def estimated(this: FollowedFrame) -> Estimate | Absent:
     """The first plausible motion; absent with a reason if no motion is plausible."""
-    cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
-    if frame.camera != keyframe.camera:
+    if this.frame.camera != this.keyframe.camera:
         return Absent(Reason("odometry", "camera_changed"))
     rejected = Reason("odometry", "too_few_inliers")
-    for guess_px, near_px, ratio in guesses(this):
-        px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, guess_px, frame.grey)
-        astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
-        px[astray | frame.on_movable(px)] = np.nan
-        estimate = _localised(this, px)
-        if estimate is None:
-            continue
-        if np.sum(estimate.motion.inliers) < max(ratio * _findable(keyframe, frame, estimate), cfg.min_inliers):
+    for estimate, ratio, expected in _estimates(this):
+        if np.sum(estimate.motion.inliers) < max(ratio * estimate.findable, this.cfg.min_inliers):
             continue
         impossible = _impossible(this, estimate)
         if impossible is None:
-            return _verified(this, estimate, expected=bool(np.isfinite(near_px).any()))
+            return _verified(this, estimate, expected=expected)
         rejected = impossible
     return Absent(rejected)
+
+
+def _estimates(this: FollowedFrame) -> Iterator[tuple[Estimate, float, bool]]:
+    """Estimates, the share of the findable features that must agree, and whether each continues the last motion."""
+    cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
+    has_depth = keyframe.landmarks.source == "depth"
+    if has_depth and cfg.features == "klt" and (steady := _steady(this)) is not None:
+        yield steady, 2 * MIN_INLIER_RATIO, True
+    for guess_px, near_px, ratio in guesses(this):
+        start_px = _few_inside(guess_px, frame.grey.shape) if has_depth else guess_px
+        px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, start_px, frame.grey)
+        astray = np.linalg.norm(px - near_px, axis=1) > scaled(_ASTRAY_PX, frame.grey.shape[0])
+        px[astray | frame.on_movable(px)] = np.nan
+        estimate = _localised(this, px)
+        if estimate is not None:
+            yield estimate, ratio, bool(np.isfinite(near_px).any())
+
+
+def _steady(this: FollowedFrame) -> Estimate | None:
+    """The motion with depth if the features look as the continued last motion predicts, near their predicted pixels."""
+    if (start := this.expected_this_T_key) is None:
+        return None
+    px, predicted_px = aligned(this.keyframe, this.frame, start)
+    return _located(this, px, predicted_px, start) if _are_near(this, px, predicted_px) else None
 
 
 def estimated_by_orb(this: FollowedFrame, failed: Absent) -> tuple[FollowedFrame, Estimate | Absent]:
@@ -75,19 +97,10 @@ def _verified(this: FollowedFrame, estimate: Estimate, *, expected: bool) -> Est
 
 def _shifted(this: FollowedFrame, estimate: Estimate, shift_m: float) -> Estimate:
     """The estimate at a shift along the car's path; the estimate itself if the features do not agree there."""
-    points_m, motion = this.keyframe.landmarks.points_m, estimate.motion
-    start, px = along_path(this.frame, shift_m) @ motion.this_T_key, estimate.px
-    for _ in range(2):
-        px = aligned(this.keyframe, this.frame, start)
-        found = motion_from_points(this.frame.camera, points_m, px, start)
-        if found is None:
-            return estimate
-        motion, start = found, found.this_T_key
-    if np.sum(motion.inliers) < this.cfg.min_inliers:
+    shifted = _aligned_from(this, along_path(this.frame, shift_m) @ estimate.motion.this_T_key)
+    if shifted is None or np.sum(shifted.motion.inliers) < this.cfg.min_inliers or _impossible(this, shifted):
         return estimate
-    odom_T_ego = this.pose(motion)
-    moved_estimate = Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
-    return estimate if _impossible(this, moved_estimate) else moved_estimate
+    return shifted
 
 
 def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
@@ -101,6 +114,14 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
         predicted = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
         yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, MIN_INLIER_RATIO
     yield last.found_px, np.full_like(last.found_px, np.nan), 2 * MIN_INLIER_RATIO
+
+
+def _few_inside(px: Float32, shape: tuple[int, ...]) -> Float32:
+    """(N, 2) pixels of which at most ``_MOST_MATCHED`` inside an image of that shape remain, NaN for the others."""
+    inside = np.flatnonzero(((px >= 0) & (px <= np.array(shape[::-1]) - 1)).all(axis=1))
+    few, chosen = np.full_like(px, np.nan), inside[:: -(-len(inside) // _MOST_MATCHED) or 1]
+    few[chosen] = px[chosen]
+    return few
 
 
 def _impossible(this: FollowedFrame, estimate: Estimate) -> Reason | None:
@@ -118,23 +139,38 @@ def _impossible(this: FollowedFrame, estimate: Estimate) -> Reason | None:
     return None
 
 
-def _findable(keyframe: Keyframe, frame: TrackingFrame, estimate: Estimate) -> int:
-    """Number of features that the motion predicts in the image if all points are known, else of those found."""
-    if keyframe.landmarks.source != "depth":
-        return int(np.sum(np.isfinite(estimate.px[:, 0])))
-    return int(np.sum(np.isfinite(predicted_px(keyframe, frame, estimate.motion.this_T_key)[:, 0])))
-
-
 def _localised(this: FollowedFrame, px: Float32) -> Estimate | None:
     """The motion estimated from the features' pixels, and the pose that follows."""
     camera, landmarks = this.frame.camera, this.keyframe.landmarks
     if landmarks.source != "depth":
         return localised_without_depth(this, px)
     motion = motion_from_points(camera, landmarks.points_m, px)
-    if motion is not None:
-        px = aligned(this.keyframe, this.frame, motion.this_T_key)
-        motion = motion_from_points(camera, landmarks.points_m, px, motion.this_T_key)
     if motion is None:
         return None
-    odom_T_ego = this.pose(motion)
-    return Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego))
+    return _aligned_from(this, motion.this_T_key)
+
+
+def _aligned_from(this: FollowedFrame, start: Float) -> Estimate | None:
+    """The motion with depth by features aligned where a start predicts them, and once more if they were not near."""
+    px, predicted_px = aligned(this.keyframe, this.frame, start)
+    estimate = _located(this, px, predicted_px, start)
+    if estimate is None or _are_near(this, px, predicted_px):
+        return estimate
+    start = estimate.motion.this_T_key
+    return _located(this, *aligned(this.keyframe, this.frame, start), start)
+
+
+def _are_near(this: FollowedFrame, px: Float32, predicted_px: Float32) -> bool:
+    """Whether (N, 2) aligned features, NaN not found, are near their predicted pixels."""
+    off_px = np.linalg.norm(px - predicted_px, axis=1)
+    off_px = off_px[np.isfinite(off_px)]
+    return len(off_px) > 0 and bool(np.median(off_px) < scaled(_NEAR_PX, this.frame.grey.shape[0]))
+
+
+def _located(this: FollowedFrame, px: Float32, predicted_px: Float32, start: Float) -> Estimate | None:
+    """The motion with depth by aligned features, from a start that predicts them, and the pose that follows."""
+    motion = motion_from_points(this.frame.camera, this.keyframe.landmarks.points_m, px, start)
+    if motion is None:
+        return None
+    odom_T_ego, findable = this.pose(motion), int(np.sum(np.isfinite(predicted_px[:, 0])))
+    return Estimate(px, motion, odom_T_ego, this.turned_pitch(odom_T_ego), findable)

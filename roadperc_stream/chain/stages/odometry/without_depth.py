@@ -39,10 +39,10 @@ def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None
         motion = _by_points(this, points_m, px) or motion
     if motion is None:
         return None
-    pitch = this.turned_pitch(this.pose(motion))
+    pitch, findable = this.turned_pitch(this.pose(motion)), int(np.sum(np.isfinite(px[:, 0])))
     if not motion.this_T_key[:3, 3].any():
         motion = standing_motion(frame.camera, landmarks.points_m, key_px, px, motion)
-        return Estimate(px, motion, this.pose(motion), pitch)
+        return Estimate(px, motion, this.pose(motion), pitch, findable)
     direction = camera_pitch.expansion(motion, frame.ego_T_camera, key_px, frame.camera.width)
     pitch = camera_pitch.updated(pitch, direction)
     if landmarks.source == "plane":
@@ -53,7 +53,7 @@ def localised_without_depth(this: FollowedFrame, px: Float32) -> Estimate | None
         )
     elif not motion.scaled:
         motion = _in_units(this, motion)
-    return Estimate(px, motion, this.pose(motion), pitch)
+    return Estimate(px, motion, this.pose(motion), pitch, findable)
 
 
 def _in_units(this: FollowedFrame, motion: Motion) -> Motion:

@@ -193,7 +193,7 @@ def test_the_pose_of_a_long_drive_is_still_a_rotation(shots):
     step = g.rigid(rotation_from_rpy(0.001, 0.002, 0.03), np.array([0.5, 0.0, 0.0]))
     for _ in range(200):
         odom_T_ego = keyframe.odom_T_camera @ g.inverse(EGO_T_CAMERA) @ step
-        odom_T_ego, keyframe, pitch = _levelled(Estimate(None, None, odom_T_ego, pitch), keyframe, 0.5)
+        odom_T_ego, keyframe, pitch = _levelled(Estimate(None, None, odom_T_ego, pitch, 0), keyframe, 0.5)
     np.testing.assert_allclose(odom_T_ego[:3, :3] @ odom_T_ego[:3, :3].T, np.eye(3), atol=1e-9)
 
 

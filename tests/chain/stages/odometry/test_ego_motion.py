@@ -86,6 +86,13 @@ def test_standing_still_does_not_drift_while_a_car_passes():
         assert max(angle_deg(p[:3, :3]) for p in poses(results)) < 0.02
 
 
+def test_the_pose_after_a_long_stop_is_still_a_rotation():
+    """The rounding error of one frame must not be doubled by the next one."""
+    drive = [*photographed()[:6], *photographed()[5:6] * 80]
+    R = run(drive)[1][-1].odom_T_ego[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=2e-14)
+
+
 def test_a_missing_frame_is_lost_but_its_motion_is_not():
     states, results = run([*photographed()[:3], None, *photographed()[4:8]])
     assert statuses(results) == ["first", "tracked", "tracked", "lost", "tracked", "tracked", "tracked", "tracked"]

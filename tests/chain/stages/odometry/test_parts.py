@@ -336,10 +336,11 @@ def test_landmarks_have_the_depths_points_and_are_not_aligned_outside_the_image(
     on_plane = [np.abs(heights[:, 2]), np.abs(heights[:, 1] - 7), np.abs(heights[:, 1] + 6), np.abs(heights[:, 0] - 45)]
     assert np.quantile(np.min(on_plane, axis=0), 0.95) < 0.01
     behind = g.rigid(np.eye(3), np.array([0.0, 0.0, -1e3]))
-    px = aligned(keyframe, frame, behind)
+    px, predicted_px = aligned(keyframe, frame, behind)
     assert px.shape == landmarks.features.px.shape
     assert len(px) > 20
     assert np.isnan(px).all()
+    assert np.isnan(predicted_px).all()
 
 
 @pytest.mark.parametrize("features", ["klt", "orb", "sift"])
