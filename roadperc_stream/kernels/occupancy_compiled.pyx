@@ -48,6 +48,15 @@ cdef void _point(
         points.height[k] = at_z - ((road.d - road.a * points.x[k]) - road.b * points.y[k])
 
 
+cdef bint _any_counts(const Rules* rules, const Points* points, int count) noexcept nogil:
+    """Return whether any point is drivable or not above all obstacles: most points of a block of sky are neither."""
+    cdef int k
+    cdef int32_t found = 0
+    for k in range(count):
+        found |= points.drivable[k] | (points.height[k] <= rules.highest)
+    return found != 0
+
+
 cdef bint _sort(const Rules* rules, Points* points, int count) noexcept nogil:
     """Compute the cell and the kind of each point; both are 0 outside the grid. Return whether any point counts."""
     cdef int k
@@ -119,11 +128,14 @@ def count_points(cells, pixels, rays, const float[::1] abd, int64_t[:, ::1] free
                     u = first + k
                     points.depth[k] = depth_m[v, u]
                     points.drivable[k] = drivable[v, u]
-                    points.obstacle[k] = obstacle_tags[tags[v, u]]
                 _point(
                     &points, &column[0, first], &column[1, first], &column[2, first], row, centre, road, count
                 )
                 for k in range(0 if is_plane else count):
                     points.height[k] = height_m[v, first + k]
+                if not _any_counts(&rules, &points, count):
+                    continue
+                for k in range(count):
+                    points.obstacle[k] = obstacle_tags[tags[v, first + k]]
                 if _sort(&rules, &points, count):
                     _count(&points, &free[0, 0], &occupied[0, 0], count)

@@ -30,7 +30,7 @@ FREE: Final = 0
 OCCUPIED: Final = 100
 
 _ROWS_AT_ONCE: Final = 64
-"""Rows per pass: their points stay in the processor's cache between operations."""
+"""Rows per pass over a height field: their points stay in the processor's cache between operations."""
 _NEAREST_M: Final = 1e-6
 
 
@@ -72,8 +72,9 @@ def _points_in_cells(
     cells = Cells(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cfg.min_height_m, cfg.max_height_m)
     abd = np.array(surface.abd, np.float32)
     free, occupied = np.zeros(_shape(cfg), np.int64), np.zeros(_shape(cfg), np.int64)
-    for top in range(0, camera.height, _ROWS_AT_ONCE):
-        rows = slice(top, top + _ROWS_AT_ONCE)
+    rows_at_once = camera.height if surface.height_grid is None else _ROWS_AT_ONCE
+    for top in range(0, camera.height, rows_at_once):
+        rows = slice(top, top + rows_at_once)
         heights = None
         if surface.height_grid is not None:
             heights = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[rows], top))
@@ -107,17 +108,18 @@ def _visible_drivable(cfg: OccupancyConfig, frame: Frame, surface: Surface, driv
     """
     camera, depth_m = frame.camera, frame.dense_depth_m
     rows, columns = _shape(cfg)
-    x = cfg.x_min_m + cfg.resolution_m * (np.arange(columns, dtype=float) + 0.5)
-    y = (cfg.resolution_m * (np.arange(rows, dtype=float) + 0.5) - cfg.half_width_m)[:, None]
-    z = height_at(surface, x, y)
-    right, down, ahead = (T[0] * x + T[1] * y + T[2] * z + T[3] for T in inverse(frame.ego_T_camera)[:3])
-    with np.errstate(all="ignore"):  # cells behind the camera do not count
-        u, v = np.rint(camera.fx * right / ahead + camera.cx), np.rint(camera.fy * down / ahead + camera.cy)
-        inside = (ahead > _NEAREST_M) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-    v, u, ahead = v[inside].astype(np.intp), u[inside].astype(np.intp), ahead[inside]
-    seen = cv2.medianBlur(drivable.view(np.uint8), 3)[v, u] > 0
+    along = cfg.x_min_m + cfg.resolution_m * (np.arange(columns, dtype=float) + 0.5)
+    across = (cfg.resolution_m * (np.arange(rows, dtype=float) + 0.5) - cfg.half_width_m)[:, None]
+    x, y, z = (at.astype(np.float32) for at in (along, across, height_at(surface, along, across)))
+    camera_T_ego = inverse(frame.ego_T_camera).astype(np.float32)
+    right, down, ahead = ((T[0] * x + T[3]) + T[1] * y + T[2] * z for T in camera_T_ego[:3])
+    with np.errstate(all="ignore"):
+        per_m = 1.0 / ahead
+        per_m[ahead <= _NEAREST_M] = np.nan  # cells behind the camera do not count
+        u, v = right * per_m * camera.fx + camera.cx, down * per_m * camera.fy + camera.cy
+    top = max(int(np.fmin.reduce(v, axis=None, initial=camera.height - 1)) - 2, 0)
+    seen = cv2.remap(cv2.medianBlur(drivable[top:].view(np.uint8), 3), u, v - top, cv2.INTER_NEAREST) > 0
     if depth_m is not None:  # a comparison with NaN is False
-        seen &= np.abs(depth_m[v, u] - ahead) <= cfg.depth_tolerance * ahead + cfg.resolution_m
-    visible = np.zeros((rows, columns), bool)
-    visible[inside] = seen
-    return visible
+        there_m = cv2.remap(depth_m, u, v, cv2.INTER_NEAREST, borderValue=np.nan)
+        seen &= np.abs(there_m - ahead) <= cfg.depth_tolerance * ahead + cfg.resolution_m
+    return seen
