@@ -51,10 +51,10 @@ def _by_lanes(cfg: ReplayConfig, frame: Frame) -> KnownPitch | None:
     n = max(frame.camera.height // _ROWS, 1)
     labels = frame.labels(cfg.lanes.separators), frame.labels(cfg.surface.classes)
     separators, road = (None if found is None else np.ascontiguousarray(found[::n, ::n]) for found in labels)
-    far = None if road is None else lines.road_far_end(road.view(bool))
-    if separators is None or road is None or far is None:
+    rows = None if road is None else lines.road_rows(road.view(bool))
+    if separators is None or road is None or rows is None:
         return None
-    visible = lines.visible_share(far, lines.road_near_end(road.view(bool)), len(road))
+    visible = lines.visible_share(*rows, len(road))
     proposals = lines.propose(cfg.lanes, lines.edges_of(cfg.lanes, separators), visible)
     found = lines.on_road(proposals, road.view(bool))
     longest = np.argsort(-np.linalg.norm(found[:, 2:] - found[:, :2], axis=1), kind="stable")[:_MOST_LINES]

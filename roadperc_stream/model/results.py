@@ -162,7 +162,8 @@ class Boundary:
 class Lanes:
     """The ego lane's two boundaries, and the lines they were chosen from as (N, 4) x1, y1, x2, y2 in pixels.
 
-    ``edges`` are the (H, W) edge pixels along which the lines were proposed, None if they were not computed.
+    ``edges`` are the edge pixels along which the lines were proposed, in the image or in every second row and column of
+    it. None if they were not computed.
     While the car moves into another lane, ``lane_change`` is the side on which part of it is over the line.
     ``lane_changes`` counts how often its reference point has entered another lane. Both are None if unknown.
     """

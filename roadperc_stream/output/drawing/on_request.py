@@ -117,7 +117,9 @@ def lanes_picture(image_bgr: model.Image, lanes: model.Lanes) -> model.Image:
     """
     canvas = _dimmed(image_bgr)
     if lanes.edges is not None:
-        canvas.pixels[lanes.edges] = _EDGE
+        rows, columns = canvas.pixels.shape[:2]
+        edges = cv2.resize(lanes.edges.view(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST)
+        canvas.pixels[edges > 0] = _EDGE
     chosen = [boundary.raw_px for boundary in lanes.boundaries if boundary.raw_px is not None]
     for lines, colour, width_px in (
         (np.array(chosen).reshape(-1, 4), _CHOSEN, 3 * canvas.line_px),

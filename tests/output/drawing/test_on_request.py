@@ -165,9 +165,10 @@ def near(picture, colour):
     return (np.abs(picture.astype(int) - colour) <= 40).all(axis=-1)
 
 
-def test_lines_are_drawn_in_the_colour_of_their_kind():
-    edges = np.zeros((240, 320), bool)
-    edges[130, 300] = True
+@pytest.mark.parametrize("step", [1, 2])
+def test_lines_are_drawn_in_the_colour_of_their_kind(step):
+    edges = np.zeros((240 // step, 320 // step), bool)
+    edges[130 // step, 300 // step] = True
     lanes = Lanes(
         (Boundary("left", "measured", raw_px=(60.0, 240.0, 60.0, 120.0)), Boundary("right", "lost")),
         np.array([(200.0, 239.0, 200.0, 120.0)]),

@@ -172,12 +172,14 @@ def lateral(state: Float, x: Float) -> Float:
 
 def line_on_ground(points: Float) -> Float | None:
     """(offset, heading, 0) of an image line from (N, 3) ego points along it; None if it is not on the road."""
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 2 or np.ptp(points[:, 0]) < _SHORTEST_M:
+    points = points[np.isfinite(points).all(axis=1), :2]
+    near = points[points[:, 0] <= points[:, 0].min(initial=np.inf) + 2 * _REACH_STEP_M]
+    if len(near) < 2 or np.ptp(near[:, 0]) < _SHORTEST_M:
         return None
-    near = points[points[:, 0] <= points[:, 0].min() + 2 * _REACH_STEP_M]
-    heading, offset = np.polyfit(near[:, 0], near[:, 1], 1)
-    return np.array([offset, heading, 0.0])
+    middle = near.mean(axis=0)
+    x, y = (near - middle).T
+    heading = float(x @ y) / float(x @ x)
+    return np.array([middle[1] - heading * middle[0], heading, 0.0])
 
 
 def fit_curve(
@@ -194,10 +196,13 @@ def fit_curve(
     for noise_px in _NOISE_PX:
         noise = _Noise(noise_px, metres_per_px)
         std_m = noise.std_m(edges.x)
-        curve = _fit_at(cfg, edges, near, line, -outward(side), noise)
-        if curve is not None and _explained(curve, edges, std_m, side) >= _EXPLAINED:
-            curve = replace(curve, contrast=_contrast(curve, edges, std_m, side))
-            return _without_clutter(curve, side, noise) if curve.is_clear or curve.contrast >= _CONTRAST else None
+        curve = _fit_at(cfg, edges, near, line, -outward(side), noise, std_m)
+        if curve is None:
+            continue
+        explained, contrast = _support(curve, edges, std_m, side)
+        if explained >= _EXPLAINED:
+            curve = replace(curve, contrast=contrast)
+            return _without_clutter(curve, side, noise) if curve.is_clear or contrast >= _CONTRAST else None
     return None
 
 
@@ -214,9 +219,10 @@ def _without_clutter(curve: Curve, side: Side, noise: _Noise) -> Curve:
     return replace(curve, state=curve.state + np.array([0.0, turned, 0.0]))
 
 
-def _fit_at(cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: float, noise: _Noise) -> Curve | None:
-    """The boundary near a line, with edges of this noise."""
-    std_m = noise.std_m(edges.x)
+def _fit_at(
+    cfg: LanesConfig, edges: Edges, near: Mask, line: Float, inward: float, noise: _Noise, std_m: Float
+) -> Curve | None:
+    """The boundary near a line, with edges of this noise; ``std_m`` (N,) is that of each edge."""
     nearest_m = float(edges.x[near].min())
     reach = nearest_m + 2 * _REACH_STEP_M
     begin = near & (edges.x <= reach)
@@ -252,25 +258,24 @@ def _covariance_and_slope_effect(fit: Quadratic, noise: _Noise, x: Float) -> tup
     return covariance, covariance @ (np.array([x3 / 6, x4 / 6, x5 / 12]) / scale)
 
 
-def _explained(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
-    """Share of the rows with edges near a curve in which one lies on it."""
-    (on_it,) = _rows_near(curve, edges, _ON_CURVE_STD * std_m, side, (0.0,))
-    (around,) = _rows_near(curve, edges, np.full_like(std_m, _SEARCH_M), side, (0.0,))
-    return on_it / max(around, 1)
+def _support(curve: Curve, edges: Edges, std_m: Float, side: Side) -> tuple[float, float]:
+    """Share of the rows with edges near a curve in which one lies on it, and the curve's contrast.
+
+    The contrast is the ratio of the rows with an edge on the curve to those with an edge farther inside, on the road.
+    """
+    inside_m = -outward(side) * (edges.y - lateral(curve.state, edges.x))
+    inside_m[edges.x > curve.reach_m] = np.nan  # not near any line
+    explained, around = (
+        _rows_near(inside_m, edges.rows, 0.0, within_m) for within_m in (_ON_CURVE_STD * std_m, _SEARCH_M)
+    )
+    on_it, *inside = (_rows_near(inside_m, edges.rows, line_m, std_m) for line_m in (0.0, *_INSIDE_M))
+    return explained / max(around, 1), on_it / (sum(inside) / len(inside) + _CHANCE_ROWS)
 
 
-def _contrast(curve: Curve, edges: Edges, std_m: Float, side: Side) -> float:
-    """Ratio of the rows with an edge on the curve to those with an edge farther inside, on the road."""
-    on_it, *inside = _rows_near(curve, edges, std_m, side, (0.0, *_INSIDE_M))
-    return on_it / (float(np.mean(inside)) + _CHANCE_ROWS)
-
-
-def _rows_near(curve: Curve, edges: Edges, within_m: Float, side: Side, asides_m: tuple[float, ...]) -> tuple[int, ...]:
-    """Number of rows with an edge near each line at these distances inside the curve, within its reach."""
-    within_reach = edges.x <= curve.reach_m
-    aside_m = -outward(side) * (edges.y - lateral(curve.state, edges.x))
-    near = (edges.rows[within_reach & (np.abs(aside_m - line_m) < within_m)] for line_m in asides_m)
-    return tuple(int(np.count_nonzero(np.bincount(rows))) for rows in near)
+def _rows_near(inside_m: Float, rows: NDArray[np.int64], line_m: float, within_m: Float | float) -> int:
+    """Number of rows, (N,) ascending, with an edge near a line at this distance inside the curve."""
+    near = rows[np.abs(inside_m - line_m) < within_m]
+    return int(np.count_nonzero(near[1:] != near[:-1])) + min(len(near), 1)
 
 
 def _best_aside(x: Float, y: Float, line: Float, inward: float, noise: _Noise) -> float:

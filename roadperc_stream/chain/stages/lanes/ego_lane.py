@@ -1,6 +1,5 @@
 """One frame of the ego lane: observe both boundaries, track them over time, and drop implausible ones."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -216,22 +215,23 @@ def _followed(
     """Both boundaries at the stamp of this frame."""
     moved = _tracked(motion) if cfg.use_odometry else None
 
-    def predicted(boundaries: Mapping[Side, TrackedBoundary | None]) -> dict[Side, TrackedBoundary]:
-        return {
-            side: replace(boundary, track=tracking.predict(cfg, boundary.track, stamp_ns, moved))
-            for side, boundary in boundaries.items()
-            if boundary is not None
-        }
+    def predicted(boundary: TrackedBoundary) -> TrackedBoundary:
+        return replace(boundary, track=tracking.predict(cfg, boundary.track, stamp_ns, moved))
 
-    before = predicted({"left": state.left, "right": state.right})
-    expected = predicted({"left": state.left_certain, "right": state.right_certain}) if moved is not None else {}
+    before = {side: predicted(boundary) for side in SIDES if (boundary := state.side(side))}
+    certain: dict[Side, TrackedBoundary | None] = {"left": state.left_certain, "right": state.right_certain}
+    expected = {
+        side: before[side] if last is state.side(side) else predicted(last)  # often they are the same
+        for side, last in certain.items()
+        if last is not None and moved is not None
+    }
     found = {
         side: followed(cfg, side, before.get(side), before.get(other_side(side)), observation, stamp_ns)
         for side in SIDES
     }
-    now, certain = following.without_other_lines(cfg, before, found, expected, stamp_ns)
+    now, known = following.without_other_lines(cfg, before, found, expected, stamp_ns)
     left, right = now["left"], now["right"]
-    return replace(state, left=left, right=right, left_certain=certain.get("left"), right_certain=certain.get("right"))
+    return replace(state, left=left, right=right, left_certain=known.get("left"), right_certain=known.get("right"))
 
 
 def _observed(

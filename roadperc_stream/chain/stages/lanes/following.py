@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from roadperc_stream.chain.stages.lanes import tracking
-from roadperc_stream.chain.stages.lanes.curves import Curve, other_side, outward
+from roadperc_stream.chain.stages.lanes.curves import Curve, lateral, other_side, outward
 from roadperc_stream.chain.stages.lanes.observe import Observation
 from roadperc_stream.chain.stages.lanes.tracking import LanesState, TrackedBoundary
 from roadperc_stream.config import LanesConfig
@@ -19,12 +19,15 @@ from roadperc_stream.system.time import NS_PER_S
 
 JUDGED_AT_M = 10.0
 """A boundary must be known at the car and at this distance ahead."""
+_JUDGED_AT = np.array([0.0, JUDGED_AT_M])
 MIN_WIDTH_M = 2.0
 """Narrowest lane: if boundaries are closer together, one of them is wrong."""
 MAX_STD_M = 0.16
 """Standard deviation, at the car or ``JUDGED_AT_M`` ahead, beyond which a boundary is lost."""
 _SAME_M = 0.6
 """A line this close to the other boundary's prediction is that boundary; covers both edges of a double line."""
+_SAME_LINE_M = 0.05
+"""Curves closer to each other than this are of the same edges: a third of a marking."""
 _MARKING_M = 0.15
 """Assumed width of a marking if its other edge is not visible."""
 _MARKING_STD_M = 0.1
@@ -168,17 +171,25 @@ def _candidates(
     """Candidates for the boundary: the edges along the prediction, then the curve of the closest line.
 
     Visible dashes are often too short for a Hough line; the closest line is then a different one farther out. If a
-    clear line is closer than the prediction, it contradicts the prediction, and edges along that are not used.
+    clear line is closer than the prediction, it contradicts the prediction, and edges along that are not used. If a
+    clear line lies on the prediction, the edges along both are the same.
     """
-    closer = curve is not None and outward(side) * (before.offset_m - float(curve.state[0])) > _SAME_M
-    if curve is not None and closer and curve.is_clear:
-        yield curve
-        return
+    if curve is not None and curve.is_clear:
+        is_closer = outward(side) * (before.offset_m - float(curve.state[0])) > _SAME_M
+        if is_closer or _lies_on(curve, before):
+            yield curve
+            return
     along = None if observation is None else observation.curve_along(cfg, side, before.track.state)
     if along is not None:
         yield along
     if curve is not None:
         yield curve
+
+
+def _lies_on(curve: Curve, predicted: TrackedBoundary) -> bool:
+    """Whether a curve is closer to a prediction than two lines are to each other, at the car and ``JUDGED_AT_M``."""
+    apart = curve.state - predicted.track.state
+    return bool(np.abs(lateral(apart, _JUDGED_AT)).max() < _SAME_LINE_M)
 
 
 def handed_over(cfg: LanesConfig, state: LanesState, observation: Observation | None, stamp_ns: int) -> LanesState:

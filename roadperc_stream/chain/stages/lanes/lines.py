@@ -2,10 +2,12 @@
 
 Mask of the separators -> edges (Canny 1986) -> probabilistic Hough lines (Matas et al. 2000) -> drop nearly horizontal
 lines and lines off the road -> merge by slope and intercept -> draw from the image's bottom to the road's far end.
+
+Edges and lines are searched in every second row and column if the median filter leaves nothing narrower.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -16,6 +18,8 @@ from roadperc_stream.geometry import Float
 from roadperc_stream.model import Image, Line, Mask
 
 _ON_ROAD = 0.5
+_SAMPLES = 64
+"""Points along a line that decide whether it is on the road."""
 _ROAD_MARGIN_PX = 2.0
 _ROAD_COLUMNS = 0.01
 """Minimum share of road columns in a row that shows the road."""
@@ -35,6 +39,11 @@ _MERGE_INTERCEPT_PX = 40.0
 """Largest differences of slope, and of the row at the image's left edge at 960 rows, of lines that are merged."""
 _AROUND_PX = 5
 """Rows around a mask that affect its edges: half of the largest Sobel filter, and Canny's neighbours."""
+_COARSE_PX = 5
+"""Size of the median filter from which on every second row and column suffices: it leaves nothing below 3 px."""
+
+
+Coordinate = TypeVar("Coordinate", float, Float)
 
 
 @dataclass(frozen=True)
@@ -46,9 +55,14 @@ class LineGroup:
     top_px: float
     bottom_px: float
 
-    def x(self, y: float) -> float:
-        """Column at a row, pixels."""
+    def x(self, y: Coordinate) -> Coordinate:
+        """Column at a row, or columns at (N,) rows, pixels."""
         return (y - self.intercept) / self.slope
+
+
+def pixel_step(cfg: LanesConfig, rows: int) -> int:
+    """2 if the median filter of an image with this many rows would remove what every second pixel misses, else 1."""
+    return 2 if scaled(cfg.median_px, rows) >= _COARSE_PX else 1
 
 
 def without_salt(cfg: LanesConfig, separators: Image) -> Image:
@@ -88,16 +102,17 @@ def _with_rows(shape: tuple[int, ...], part: slice, rows: NDArray[Any]) -> Image
     return image
 
 
-def propose(cfg: LanesConfig, edges: Image, visible: float = 1.0) -> Float:
+def propose(cfg: LanesConfig, edges: Image, visible: float = 1.0, step: int = 1) -> Float:
     """(N, 4) x1, y1, x2, y2 of Hough lines along (H, W) uint8 edges of 255. The thresholds are for 960 rows.
 
-    ``visible`` is the visible share of the lines' length; lines may be shorter by this factor.
+    ``visible`` is the visible share of the lines' length; lines may be shorter by this factor. ``step`` is the
+    ``pixel_step`` of the edges: their places are rounded to so many pixels, and bins are wider by the difference.
     """
     scale = scaled(1.0, edges.shape[0])
     shortest = scale * visible
     found = cv2.HoughLinesP(
         edges,
-        cfg.hough_rho_px * scale,
+        cfg.hough_rho_px * scale + (step - 1) / step,
         np.radians(_HOUGH_THETA_DEG),
         max(round(cfg.hough_threshold * shortest), 1),
         minLineLength=cfg.hough_min_length_px * shortest,
@@ -113,32 +128,17 @@ def on_road(proposals: Float, drivable: Mask) -> Float:
     a kerb lies just outside it.
     """
     dx, dy = np.abs(proposals[:, 2:] - proposals[:, :2]).T
-    steep = proposals[(dy > 0) & (dy >= _MIN_SLOPE * dx)]
+    steep: Float = proposals[(dy > 0) & (dy >= _MIN_SLOPE * dx)]
     margin_px = max(round(scaled(_ROAD_MARGIN_PX, drivable.shape[0])), 1)
-    kept: Float = steep[line_shares(steep, drivable, margin_px) > _ON_ROAD]
-    return kept
-
-
-def line_shares(lines: Float, mask: Mask, margin_px: int) -> Float:
-    """(N,) shares of (N, 4) lines x1, y1, x2, y2 that lie on an (H, W) mask, widened by a margin on all sides.
-
-    A line has one pixel for every column, or for every row if it is steep.
-    """
-    if not len(lines):
-        return np.empty(0)
-    start, end = lines[:, :2], lines[:, 2:]
-    steps = np.abs(end - start).max(axis=1).astype(int)
-    first = np.cumsum(steps + 1) - (steps + 1)
-    owner = np.repeat(np.arange(len(lines)), steps + 1)
-    along = np.arange(len(owner)) - first[owner]
-    places = along[:, None] * ((end - start) / np.maximum(steps, 1)[:, None])[owner] + start[owner]
-    places[first + steps] = end
-    columns, rows = np.rint(places).astype(int).T
+    if not len(steep):
+        return steep
+    along = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
+    columns, rows = np.rint((1.0 - along) * steep[:, :2] + along * steep[:, 2:]).astype(int).transpose(2, 0, 1)
     left, top = max(columns.min() - margin_px, 0), max(rows.min() - margin_px, 0)
-    near = mask[top : rows.max() + margin_px + 1, left : columns.max() + margin_px + 1].view(np.uint8)
+    near = drivable[top : rows.max() + margin_px + 1, left : columns.max() + margin_px + 1].view(np.uint8)
     widened = cv2.dilate(near, np.ones((2 * margin_px + 1, 2 * margin_px + 1), np.uint8))
-    shares: Float = np.add.reduceat(widened[rows - top, columns - left], first, dtype=float) / (steps + 1)
-    return shares
+    kept: Float = steep[widened[rows - top, columns - left].mean(axis=0) > _ON_ROAD]
+    return kept
 
 
 def merge(proposals: Float, rows: int) -> tuple[LineGroup, ...]:
@@ -164,25 +164,19 @@ def drawn(group: LineGroup, bottom: float, far: float) -> Line:
     return group.x(bottom), bottom, group.x(far), far
 
 
-def road_far_end(drivable: Mask) -> int | None:
-    """Topmost row in which at least a hundredth of the columns is road; None without any road.
+def road_rows(drivable: Mask) -> tuple[int, int] | None:
+    """The topmost row of the road, and the row below which the car's own bonnet hides it; None without any road.
 
-    This is less exact than the first road pixel, but noise in the sky does not affect it.
+    At least a hundredth of the columns of the topmost row is road. This is less exact than the first road pixel, but
+    noise in the sky does not affect it. If nothing hides the road, the second number is that of the image's rows.
     """
-    rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= max(_ROAD_COLUMNS * drivable.shape[1], 1))
-    return int(rows[0]) if len(rows) else None
-
-
-def road_near_end(drivable: Mask) -> int:
-    """The row below which the car's own bonnet hides the road; the image's bottom edge if nothing hides it."""
     height, width = drivable.shape
-    rows = np.flatnonzero(_row_sums(drivable.view(np.uint8)) >= _NEAR_COLUMNS * width)
-    return int(rows[-1]) + 1 if len(rows) and rows[-1] < _HIDDEN_BELOW * height else height
-
-
-def visible_share(far: int, bottom: int, height: int) -> float:
-    """The share of the rows below the road's far end that a bonnet leaves visible, at least ``_LEAST_VISIBLE``."""
-    return max((bottom - far) / (height - far), _LEAST_VISIBLE) if bottom < height else 1.0
+    columns = _row_sums(drivable.view(np.uint8))
+    far = np.flatnonzero(columns >= max(_ROAD_COLUMNS * width, 1))
+    if not len(far):
+        return None
+    near = np.flatnonzero(columns >= _NEAR_COLUMNS * width)
+    return int(far[0]), int(near[-1]) + 1 if len(near) and near[-1] < _HIDDEN_BELOW * height else height
 
 
 def _row_sums(image: Image) -> NDArray[np.int32]:
@@ -190,6 +184,11 @@ def _row_sums(image: Image) -> NDArray[np.int32]:
     return np.asarray(cv2.reduce(image, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S), np.int32).ravel()
 
 
+def visible_share(far: int, bottom: int, height: int) -> float:
+    """The share of the rows below the road's far end that a bonnet leaves visible, at least ``_LEAST_VISIBLE``."""
+    return max((bottom - far) / (height - far), _LEAST_VISIBLE) if bottom < height else 1.0
+
+
 def _mean(lines: list[tuple[float, float, float, float]]) -> LineGroup:
-    slope, intercept = np.mean([line[:2] for line in lines], axis=0)
-    return LineGroup(float(slope), float(intercept), min(line[2] for line in lines), max(line[3] for line in lines))
+    slopes, intercepts, tops, bottoms = zip(*lines, strict=True)
+    return LineGroup(sum(slopes) / len(lines), sum(intercepts) / len(lines), min(tops), max(bottoms))

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roadperc_stream.chain.stages.lanes import curves, lines
 from roadperc_stream.chain.stages.lanes.curves import Curve, Edges, lateral, outward
@@ -27,7 +26,6 @@ _BEGINS_M = 11.0
 _LINE_STD = np.array([0.05, 0.01, 0.002])
 """Standard deviations of the offset (m), heading (rad) and curvature (1/m) of a line by the model ``line``."""
 _CLASS_AHEAD_M = np.arange(4.0, 14.0, 0.5)
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -50,11 +48,6 @@ class RoadProjection:
         """(N, 2) pixels of (N, 3) ego points, NaN behind the camera."""
         return project(self.camera, transform(inverse(self.ego_T_camera), points))
 
-    def path_column(self, row: float) -> float:
-        """Column where the car's path, ego y = 0, meets a row."""
-        (_, y0, _), (_, y1, _) = self.ground(np.array([[0.0, row], [float(self.camera.width), row]]))
-        return float(y0 / (y0 - y1) * self.camera.width)
-
 
 @dataclass(frozen=True)
 class Observation:
@@ -62,7 +55,8 @@ class Observation:
 
     The lower end ``bottom`` is the image's bottom edge, or the upper edge of the car's own bonnet.
 
-    ``edge_pixels`` (H, W) are those along which lines were proposed, ``edges`` those that face the ego lane.
+    ``edge_pixels`` are those along which lines were proposed, in every ``lines.pixel_step``-th row and column.
+    ``edges`` are those that face the ego lane.
     """
 
     projection: RoadProjection
@@ -110,16 +104,18 @@ class Observation:
         ahead_m = _CLASS_AHEAD_M + max(self.hidden_m - _CLASS_AHEAD_M[0], 0.0)
         x = np.broadcast_to(ahead_m, (len(at_m), len(ahead_m)))
         y = lateral(curve.state, x) + at_m[:, None]
-        pixels = self.projection.pixels(self.projection.on_road(x.ravel(), y.ravel())).reshape(*x.shape, 2)
-        inside, outside = pixels[: len(_INSIDE_M)], pixels[len(_INSIDE_M) :]
-        return self._class_at(inside.reshape(-1, 2), ()), self._class_at(outside.reshape(-1, 2), _MARKINGS)
-
-    def _class_at(self, pixels: Float, without: tuple[str, ...]) -> str:
-        """The most frequent class at (N, 2) pixels."""
-        pixels = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(int)
+        pixels = self.projection.pixels(self.projection.on_road(x.ravel(), y.ravel()))
         height, width = self.tags.shape
-        visible = pixels[((pixels >= 0) & (pixels < (width, height))).all(axis=1)]
-        counts = np.bincount(self.tags[visible[:, 1], visible[:, 0]], minlength=len(self.table.names))
+        with np.errstate(invalid="ignore"):
+            columns, rows = np.rint(pixels.T)
+            visible = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        tags = self.tags[rows[visible].astype(int), columns[visible].astype(int)]
+        is_inside = np.flatnonzero(visible) < len(_INSIDE_M) * len(ahead_m)
+        return self._most_frequent(tags[is_inside], ()), self._most_frequent(tags[~is_inside], _MARKINGS)
+
+    def _most_frequent(self, tags: Image, without: tuple[str, ...]) -> str:
+        """The most frequent class of (N,) tags; empty if there is none."""
+        counts = np.bincount(tags, minlength=len(self.table.names))
         counts[list(self.table.tags_of(without))] = 0
         return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
@@ -128,63 +124,53 @@ def facing_edges(separators: Image, drivable: Mask, top: int) -> dict[Side, Floa
     """(N, 2) pixels on the edges between a separator and the road beside it, for each side of the ego lane.
 
     Row by row from above, those of a row outermost first. ``separators`` (H - top, W) are 1 from row ``top`` down,
-    ``drivable`` is (H, W). The edges of a left boundary face right.
+    ``drivable`` is (H, W). The edges of a left boundary face right. Up to ``_FRINGE_PX`` pixels of other classes may
+    lie between separator and road.
     """
-    ends = _ends_of_runs(separators)
-    edges = {side: _facing(separators, drivable[top:], side, *ends[side]) for side in SIDES}
-    return {side: np.stack((columns, (rows + top).astype(float)), axis=-1) for side, (rows, columns) in edges.items()}
-
-
-def _facing(separators: Image, drivable: Mask, side: Side, rows: Indices, columns: Indices) -> tuple[Indices, Float]:
-    """Rows and columns of one side's edges, at the ends of runs of separators with road a few pixels beside them."""
-    towards = round(outward(side))
-    gap = np.full(len(rows), -1)
-    sought = np.arange(len(rows))
+    width, marked, road = separators.shape[1], separators.ravel(), drivable[top:].ravel()
+    before = np.flatnonzero(marked[:-1] != marked[1:])  # the ends of all runs of separators
+    faces_right = marked[before] > 0
+    ends, towards = before + ~faces_right, np.where(faces_right, 1, -1)
+    columns = ends % width
+    gap = np.full(len(ends), -1)
+    sought = np.flatnonzero((columns + towards >= 0) & (columns + towards < width))  # else that is in another row
     for step in range(_FRINGE_PX + 1):
-        row, beyond = rows[sought], np.clip(columns[sought] + towards * (1 + step), 0, separators.shape[1] - 1)
-        marked = separators[row, beyond] > 0
-        met = drivable[row, beyond] & ~marked
+        beyond = np.clip(columns[sought] + towards[sought] * (1 + step), 0, width - 1) + (ends - columns)[sought]
+        is_marked = marked[beyond] > 0
+        met = road[beyond] & ~is_marked
         gap[sought[met]] = step
-        sought = sought[~(met | marked)]
-    found = gap >= 0
-    return rows[found], columns[found] + towards * 0.5 * (gap[found] + 1)
+        sought = sought[~(met | is_marked)]
+    left, right = (np.flatnonzero((gap >= 0) & (towards == round(outward(side)))) for side in SIDES)
+    right = right[np.argsort(ends[right] - 2 * columns[right])]  # mirrored: the columns of a row descend
+    pixels = np.stack((columns + towards * 0.5 * (gap + 1), ends // width + float(top)), axis=-1)
+    return {"left": pixels[left], "right": pixels[right]}
 
 
 def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: TagTable, drivable: Mask) -> Observation:
     """Find the ego lane's boundaries in one frame, from (H, W) tags and its (H, W) drivable surface."""
-    far = lines.road_far_end(drivable)
-    if far is None:
-        return Observation(projection, tags, table, float(projection.camera.cy), float(projection.camera.height))
-    bottom = lines.road_near_end(drivable)
-    separators = mark(tags, table.lookup(cfg.separators))
-    edge_pixels = lines.edges_of(cfg, separators)
-    proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, projection.camera.height))
-    groups = lines.merge(lines.on_road(proposals, drivable), projection.camera.height)
-    facing = facing_edges(separators[far:], drivable, far) if cfg.model == "curve" else {}
-    edges = {side: Edges.of(projection.ground(pixels)[:, :2], pixels[:, 1]) for side, pixels in facing.items()}
-    rows = float(far), float(bottom)
-    found = Observation(projection, tags, table, *rows, edge_pixels > 0, proposals, groups, edges)
+    height = len(tags)
+    rows = lines.road_rows(drivable)
+    if rows is None:
+        return Observation(projection, tags, table, float(projection.camera.cy), float(height))
+    far, bottom = rows
+    step, lookup = lines.pixel_step(cfg, height), table.lookup(cfg.separators)
+    edge_pixels = lines.edges_of(cfg, mark(tags[::step, ::step], lookup))
+    proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, height), step)
+    on_road = lines.on_road(proposals, drivable[::step, ::step])
+    groups = lines.merge(on_road * step, height)
+    edges = _edges(projection, mark(tags[far:], lookup), drivable, far) if cfg.model == "curve" else {}
+    ends = float(far), float(bottom)
+    found = Observation(projection, tags, table, *ends, edge_pixels > 0, proposals * step, groups, edges)
     near = _near_lines(found)
     closest = {side: _curve(cfg, found, side, lines_near[0]) for side, lines_near in near.items()}
     return replace(found, near=near, curves=closest)
 
 
-def _ends_of_runs(marked: Image) -> dict[Side, tuple[Indices, Indices]]:
-    """Rows and columns of marked pixels whose neighbour towards the ego lane is not marked, for each side of the lane.
-
-    That is the neighbour to the right of a boundary on the left.
-    """
-    width, flat = marked.shape[1], marked.ravel()
-    before = np.flatnonzero(flat[:-1] != flat[1:])  # of both sides in one pass
-    is_last = flat[before] > 0
-    rows, columns = np.divmod(before[is_last], width)
-    inside = columns < width - 1  # else the neighbour is in the next row
-    left = rows[inside], columns[inside]
-    rows, columns = np.divmod(before[~is_last] + 1, width)
-    inside = columns > 0
-    rows, columns = rows[inside], columns[inside]
-    order = np.lexsort((-columns, rows))
-    return {"left": left, "right": (rows[order], columns[order])}
+def _edges(projection: RoadProjection, separators: Image, drivable: Mask, top: int) -> dict[Side, Edges]:
+    """``facing_edges`` on the ground."""
+    pixels = facing_edges(separators, drivable, top)
+    points = np.split(projection.ground(np.concatenate([*pixels.values()]))[:, :2], [len(pixels["left"])])
+    return {side: Edges.of(at, pixels[side][:, 1]) for side, at in zip(pixels, points, strict=True)}
 
 
 def _near_lines(observation: Observation) -> dict[Side, tuple[LineGroup, ...]]:
@@ -192,12 +178,13 @@ def _near_lines(observation: Observation) -> dict[Side, tuple[LineGroup, ...]]:
 
     A short fragment far away would otherwise extrapolate to the closest position.
     """
-    projection, groups, bottom = observation.projection, observation.groups, observation.bottom
+    groups, bottom, width = observation.groups, observation.bottom, float(observation.projection.camera.width)
     if not groups:
         return {}
-    path, near_m = projection.path_column(bottom), observation.near_m
-    nearest_m = projection.ground(np.array([(group.x(group.bottom_px), group.bottom_px) for group in groups]))[:, 0]
-    near = [group for group, x in zip(groups, nearest_m.tolist(), strict=True) if x <= near_m]  # NaN is not near
+    ends = [(group.x(group.bottom_px), group.bottom_px) for group in groups]
+    x, y, _ = observation.projection.ground(np.array([(0.0, bottom), (width, bottom), *ends])).T.tolist()
+    path, near_m = y[0] / (y[0] - y[1]) * width, observation.near_m  # the path is y = 0
+    near = [group for group, x in zip(groups, x[2:], strict=True) if x <= near_m]  # NaN is not near
     left = [group for group in near if group.x(bottom) < path and group.slope < 0]
     right = [group for group in near if group.x(bottom) >= path and group.slope > 0]
     closest_first: dict[Side, tuple[LineGroup, ...]] = {
@@ -209,8 +196,8 @@ def _near_lines(observation: Observation) -> dict[Side, tuple[LineGroup, ...]]:
 
 def _curve(cfg: LanesConfig, observation: Observation, side: Side, group: LineGroup) -> Curve | None:
     """The boundary on the road: the Hough line itself in the line model, else the edges along it."""
-    rows = np.linspace(group.top_px, group.bottom_px, _LINE_SAMPLES).tolist()
-    line = curves.line_on_ground(observation.projection.ground(np.array([(group.x(row), row) for row in rows])))
+    rows = np.linspace(group.top_px, group.bottom_px, _LINE_SAMPLES)
+    line = curves.line_on_ground(observation.projection.ground(np.stack((group.x(rows), rows), axis=-1)))
     if line is None or cfg.model == "curve":
         return None if line is None else observation.curve_along(cfg, side, line)
     return Curve(line, np.diag(_LINE_STD**2), curves.FIT_MAX_M)

@@ -5,6 +5,7 @@ sideways motion is a random acceleration, and heading and curvature are random w
 2001, chapter 6). A measurement outside the gate is rejected; a boundary without measurements is held, then lost.
 """
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
@@ -20,14 +21,16 @@ MOST_OBSERVED = 256
 """Limit of kept observations: half a second at 500 frames per second."""
 _OFFSET, _RATE, _HEADING, _CURVATURE, _SLOPE = range(5)
 _MEASURED = [_OFFSET, _HEADING, _CURVATURE]
+_BLOCK = np.ix_(_MEASURED, _MEASURED)
 _H = np.eye(5)[_MEASURED]
 _FIRST_RATE_STD_MPS = 1.0
 _HEADING_WALK = 0.02
 """Radians per root second."""
 _CURVATURE_WALK_PER_M = 0.003
 """Per metre and root second."""
-_SIDEWAYS = [1, 5]
+_SIDEWAYS = np.ix_([1, 5], [1, 5])
 """y and yaw among x, y, z, roll, pitch, yaw of a step's covariance."""
+_OFFSET_AND_HEADING = np.ix_([_OFFSET, _HEADING], [_OFFSET, _HEADING])
 _ROUGH_OFFSET_ROOT_M = 0.002
 _ROUGH_HEADING_PER_ROOT_M = 0.0008
 """Metres and radians per root metre driven: deviation of the road from its plane or height field."""
@@ -106,7 +109,7 @@ class BoundaryTrack:
     @property
     def state_covariance(self) -> Float:
         """(3, 3) covariance of ``state``."""
-        return self.covariance[np.ix_(_MEASURED, _MEASURED)]
+        return self.covariance[_BLOCK]
 
     @property
     def reported_state(self) -> Float:
@@ -177,7 +180,7 @@ def start(curve: Curve, stamp_ns: int) -> BoundaryTrack:
     P[_SLOPE, _SLOPE] = _SLOPE_STD_PER_M2**2
     P[_MEASURED, _SLOPE] = P[_SLOPE, _MEASURED] = -curve.per_slope * _SLOPE_STD_PER_M2**2
     by_slope = np.outer(curve.per_slope, curve.per_slope) * _SLOPE_STD_PER_M2**2
-    P[np.ix_(_MEASURED, _MEASURED)] = curve.covariance + by_slope
+    P[_BLOCK] = curve.covariance + by_slope
     return BoundaryTrack(mean, P, stamp_ns, stamp_ns)
 
 
@@ -216,8 +219,8 @@ def _moved(track: BoundaryTrack, stamp_ns: int, dt: float, last_T_this: Float, s
     # If the next motion is unknown, the prediction uses the rate of this step.
     mean[_RATE] = (mean[_OFFSET] - track.mean[_OFFSET]) / dt
     Q[_RATE, _RATE] = _MOVED_RATE_STD_MPS**2
-    Q[np.ix_(_MEASURED, _MEASURED)] = _road_ahead(abs(dx), np.sign(dx))
-    Q[np.ix_([_OFFSET, _HEADING], [_OFFSET, _HEADING])] += step_covariance[np.ix_(_SIDEWAYS, _SIDEWAYS)]
+    Q[_BLOCK] = _road_ahead(abs(dx), np.sign(dx))
+    Q[_OFFSET_AND_HEADING] += step_covariance[_SIDEWAYS]
     return BoundaryTrack(mean, F @ track.covariance @ F.T + Q, stamp_ns, track.measured_ns)
 
 
@@ -298,19 +301,15 @@ def shifted(track: BoundaryTrack, aside_m: float, std_m: float) -> BoundaryTrack
 
 def lateral_at(track: BoundaryTrack, x_m: Float) -> Float:
     """Lateral positions (N,) at (N,) distances ahead, metres."""
-    result: Float = _across(x_m) @ track.mean
+    offset, _, heading, curvature, slope = track.mean.tolist()
+    result: Float = offset + heading * x_m + curvature * x_m**2 / 2 + slope * x_m**3 / 6
     return result
 
 
 def std_at(track: BoundaryTrack, x_m: float) -> float:
     """Standard deviation of the lateral position ``x_m`` ahead, metres."""
-    design = _across(np.array(x_m))
-    return float(np.sqrt(design @ track.covariance @ design))
-
-
-def _across(x_m: Float) -> Float:
-    """(..., 5) derivatives of the lateral position at distances ahead by a track's mean."""
-    return np.stack((np.ones_like(x_m), np.zeros_like(x_m), x_m, x_m**2 / 2, x_m**3 / 6), axis=-1)
+    design = np.array([1.0, 0.0, x_m, x_m**2 / 2, x_m**3 / 6])
+    return math.sqrt(design @ track.covariance @ design)
 
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:

@@ -99,12 +99,7 @@ def test_a_changing_curvature_draws_the_fit_as_told():
     np.testing.assert_allclose(curve.state - [1.7, 0.0, 0.0], curve.per_slope * slope_per_m2, rtol=0.15)
 
 
-@pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
-def test_rows_are_counted_once_and_only_beside_the_line(side, sign):
-    """Of six edges two are in one row, one is far inside, one unknown, and one beyond the curve's reach."""
-    x, inside_m = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 5.0]), np.array([0.1, 0.2, -0.1, 0.9, np.nan, 0.1])
-    state = sign * np.array([1.7, 0.02, 1 / 150])
-    edges = curves.Edges(x, curves.lateral(state, x) - sign * inside_m, np.array([3, 3, 4, 5, 6, 7]))
-    for reach_m, asides_m, rows in ((4.5, (0.0, 1.0), (2, 1)), (5.0, (0.0,), (3,)), (0.5, (0.0, 1.0), (0, 0))):
-        curve = curves.Curve(state, np.eye(3), reach_m)
-        assert curves._rows_near(curve, edges, np.full(6, 0.3), side, asides_m) == rows
+def test_rows_are_counted_once_and_only_beside_the_line():
+    """Of six edges two are in one row, one is far inside, and one unknown or beyond the reach."""
+    inside_m, rows = np.array([0.1, 0.2, -0.1, 0.9, np.nan, 0.1]), np.array([3, 3, 4, 5, 6, 7])
+    assert [curves._rows_near(inside_m, rows, line_m, 0.3) for line_m in (0.0, 1.0, 2.0)] == [3, 1, 0]

@@ -58,19 +58,6 @@ def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     np.testing.assert_array_equal(kept, proposals[[1, 3]])
 
 
-@pytest.mark.parametrize("margin", [0, 1, 3])
-def test_line_shares_equal_those_of_their_pixels(margin):
-    rng = np.random.default_rng(0)
-    mask = rng.random((60, 80)) < 0.5 / (1 + 2 * margin) ** 2
-    some_lines = np.concatenate((rng.integers(0, 60, (50, 4)), [[7, 7, 7, 7]])).astype(float)
-    widened = cv2.dilate(mask.view(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
-    for line, share in zip(some_lines, lines.line_shares(some_lines, mask, margin), strict=True):
-        x1, y1, x2, y2 = line
-        count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
-        along = (np.rint(np.linspace(*ends, count)).astype(int) for ends in ((y1, y2), (x1, x2)))
-        assert share == widened[tuple(along)].mean()
-
-
 def test_a_vertical_line_is_a_line_and_a_single_pixel_is_not():
     proposals = np.array([[500.0, 700, 500, 700], [500.0, 900, 500, 600]])
     kept = lines.on_road(proposals, np.ones((960, 1280), bool))
@@ -83,8 +70,8 @@ def test_far_end_ignores_a_speck():
     road = np.zeros((100, 200), bool)
     road[40:, 50:150] = True
     road[5, 7] = True
-    assert lines.road_far_end(road) == 40
-    assert lines.road_far_end(np.zeros((100, 200), bool)) is None
+    assert lines.road_rows(road) == (40, 100)
+    assert lines.road_rows(np.zeros((100, 200), bool)) is None
 
 
 def test_public_figures_of_course_frame_0(data_dir):
@@ -128,6 +115,19 @@ def test_edges_are_those_of_the_whole_image(aperture, top):
     whole = cv2.Canny(mask * np.uint8(255), cfg.canny_low, cfg.canny_high, apertureSize=aperture)
     np.testing.assert_array_equal(lines.edges_of(cfg, mask), whole)
     assert not lines.edges_of(cfg, np.zeros_like(mask)).any()
+
+
+def test_lines_have_their_places_at_both_pixel_steps():
+    """A stripe of 9 px in the whole image, and as seen in every second pixel."""
+    stripe = np.zeros((960, 1280), np.uint8)
+    cv2.line(stripe, (300, 950), (600, 500), 1, 9)
+    for median_px, step in ((0, 1), (5, 2)):
+        cfg = CFG.model_copy(update={"median_px": median_px})
+        assert lines.pixel_step(cfg, 960) == step
+        edges = lines.edges_of(cfg, np.ascontiguousarray(stripe[::step, ::step]))
+        (*_, group) = lines.merge(lines.propose(cfg, edges, step=step) * step, 960)
+        assert group.slope == pytest.approx(-1.5, abs=0.05)
+        assert group.x(725.0) == pytest.approx(450.0, abs=8.0)
 
 
 def test_facing_edges_look_towards_the_ego_lane():
