@@ -30,38 +30,38 @@ cdef void _join_neighbours(
             at = y * width + x
             if of_class[at]:
                 if x and of_class[at - 1] and fabsf(log_depth[at] - log_depth[at - 1]) < jump:
-                    _join(parent, at, at - 1)
+                    parent[at] = _root(parent, at - 1)
                 if y and of_class[at - width] and fabsf(log_depth[at] - log_depth[at - width]) < jump:
                     _join(parent, at, at - width)
 
 
-cdef void _join_regions(
-    const float* log_depth, const int32_t* labels, int32_t* parent, int32_t height, int32_t width, float jump
+cdef int32_t _number(
+    const uint8_t* of_class, int32_t* parent, int32_t* labels, int32_t* borders, int32_t height, int32_t width,
+    int32_t* found,
 ) noexcept nogil:
-    """Join labels counted from 1 as ``_join_neighbours`` joins pixels; most neighbours already have one label."""
-    cdef int32_t y, x, at, label
+    """Write the label of each pixel, in the order of first pixels; return the number of labels.
+
+    ``borders`` are the places of neighbours with two labels, and ``found`` is their number.
+    """
+    cdef int32_t y, x, at = 0, label, count = 0
+    found[0] = 0
     for y in range(height):
         for x in range(width):
-            at = y * width + x
-            label = labels[at]
-            if label:
-                if x and labels[at - 1] not in (0, label) and fabsf(log_depth[at] - log_depth[at - 1]) < jump:
-                    _join(parent, label - 1, labels[at - 1] - 1)
-                if y and labels[at - width] not in (0, label) and fabsf(log_depth[at] - log_depth[at - width]) < jump:
-                    _join(parent, label - 1, labels[at - width] - 1)
-
-
-cdef int32_t _number(const uint8_t* of_class, int32_t* parent, int32_t* labels, int32_t size) noexcept nogil:
-    """Write the label of each pixel, in the order of first pixels; return the number of labels."""
-    cdef int32_t at, count = 0
-    for at in range(size):
-        labels[at] = 0
-        if of_class[at]:
-            if parent[at] == at:
-                count += 1
-                labels[at] = count
-            else:
-                labels[at] = labels[_root(parent, at)]
+            label = 0
+            if of_class[at]:
+                if parent[at] == at:
+                    count += 1
+                    label = count
+                else:
+                    label = labels[_root(parent, at)]
+                if x and labels[at - 1] not in (0, label):
+                    borders[2 * found[0]], borders[2 * found[0] + 1] = at, at - 1
+                    found[0] += 1
+                if y and labels[at - width] not in (0, label):
+                    borders[2 * found[0]], borders[2 * found[0] + 1] = at, at - width
+                    found[0] += 1
+            labels[at] = label
+            at += 1
     return count
 
 
@@ -76,17 +76,18 @@ cdef inline void _add(
 
 
 def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const float[::1] jumps):
-    cdef int32_t height = of_class.shape[0], width = of_class.shape[1], size = height * width, x, y, at, count, k
+    cdef int32_t height = of_class.shape[0], width = of_class.shape[1], size = height * width, x, y, at, count, k, found
     cdef Py_ssize_t regions, way, root, number, most = jumps.shape[0]
     if log_depth.shape[0] != height or log_depth.shape[1] != width or not size or not most:
         raise ValueError(f"{height}x{width} pixels, {log_depth.shape[0]}x{log_depth.shape[1]} depths, {most} jumps")
     all_labels = np.empty((height, width), np.int32)
     cdef int32_t[::1] labels = all_labels.ravel(), parent = np.arange(size, dtype=np.int32)
+    cdef int32_t[:, ::1] borders = np.empty((2 * size, 2), np.int32)
     cdef const float* depths = &log_depth[0, 0]
     cdef const uint8_t* chosen = &of_class[0, 0]
     with nogil:
         _join_neighbours(depths, chosen, &parent[0], height, width, jumps[0])
-        count = _number(chosen, &parent[0], &labels[0], size)
+        count = _number(chosen, &parent[0], &labels[0], &borders[0, 0], height, width, &found)
     all_names, all_ways = np.zeros((most, count + 1), np.int64), np.zeros(most * count, np.int64)
     all_bounds, all_pixels = np.zeros((4, most * count), np.int64), np.zeros(most * count, np.int64)
     all_bounds[:2] = size
@@ -105,7 +106,9 @@ def divided(const float[:, ::1] log_depth, const uint8_t[:, ::1] of_class, const
             parent[k] = k  # from here on regions are joined, not pixels
         regions = count
         for way in range(1, most):
-            _join_regions(depths, &labels[0], &parent[0], height, width, jumps[way])
+            for k in range(found):
+                if fabsf(depths[borders[k, 0]] - depths[borders[k, 1]]) < jumps[way]:
+                    _join(&parent[0], labels[borders[k, 0]] - 1, labels[borders[k, 1]] - 1)
             for k in range(count):
                 members[k] = 0
             for k in range(count):

@@ -7,7 +7,7 @@ import numpy as np
 
 from roadperc_stream.chain.stages.stereo import disparities_needed
 from roadperc_stream.config import ReplayConfig
-from roadperc_stream.geometry import Camera, Float, Float32, Plane, intersect_plane, inverse, transform_plane
+from roadperc_stream.geometry import Camera, Float, Float32
 from roadperc_stream.geometry.planes import angle_between
 from roadperc_stream.model import Absent, Frame, FrameResult, StereoDepth, Surface
 from roadperc_stream.model.finding import Evidence
@@ -72,9 +72,9 @@ def rough_ratio(depth_m: Float32) -> float | None:
     """
     step = max(1, min(depth_m.shape) // _COMPARED)
     here = depth_m[:-1:step, :-1:step]
-    first, second = np.stack([here, here]), np.stack([depth_m[1::step, :-1:step], depth_m[:-1:step, 1::step]])
+    beside = np.stack([depth_m[1::step, :-1:step], depth_m[:-1:step, 1::step]])
     with np.errstate(invalid="ignore"):
-        difference, least = np.abs(first - second), np.minimum(first, second)
+        difference, least = np.abs(here - beside), np.minimum(here, beside)
         differ = (least > 0) & (difference > 0)
         rough = differ & (difference > _ROUGH_M) & (difference > _ROUGH_SHARE * least)
     count = int(np.count_nonzero(differ))
@@ -101,14 +101,13 @@ def road_depth(
     """
     rows = np.linspace(_ROAD_ROWS * camera.height, camera.height - 1, _ROAD_GRID[0]).astype(int)
     columns = np.linspace(0, camera.width - 1, _ROAD_GRID[1]).astype(int)
-    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    ground = transform_plane(inverse(ego_T_camera), Plane.of(np.array([0.0, 0.0, 1.0]), 0.0))
-    ground_m = intersect_plane(camera, pixels.astype(float), ground)[:, 2]
-    ahead = ground_m < _FAR_M
-    if ground.offset_m <= 0 or not ahead.any():
+    x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+    (to_x, to_y, to_z), height_m = ego_T_camera[2, :3].tolist(), float(ego_T_camera[2, 3])
+    sinking = -to_x * x - (to_y * y + to_z)[:, None]  # the height that a ray loses for each metre of depth
+    ahead = sinking > max(height_m, 0.0) / _FAR_M
+    if height_m <= 0 or not ahead.any():
         return None, None
-    ground_m, (x, y) = ground_m[ahead], pixels[ahead].T
-    found_m = depth_m[y, x]
+    ground_m, found_m = height_m / sinking[ahead], depth_m[rows][:, columns][ahead]
     known = (found_m > 0) & (ground_m >= searched_m[0]) & (ground_m <= searched_m[1])
     ratio = float(np.median(found_m[known] / ground_m[known])) if known.any() else None
-    return float(np.mean(known)), ratio
+    return np.count_nonzero(known) / len(known), ratio

@@ -1,9 +1,9 @@
 """Metrics of detections against the true objects: one row per detection, and the sums of a frame."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from functools import lru_cache
 from math import hypot
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,15 +27,14 @@ def object_metrics(log_id: str, sample: Sample, result: FrameResult) -> tuple[tu
     truth = sample.truth.objects
     partners = true_partners(objects, truth)
     pairs = list(zip(objects, partners, strict=True))
-    rows = tuple(_object_row(log_id, sample, *pair, None if truth is None else pair[1] is not None) for pair in pairs)
+    key = vars(FrameKey(log_id, sample.index, sample.frame.stamp_ns))
+    rows = tuple(_object_row(key, *pair, None if truth is None else pair[1] is not None) for pair in pairs)
     detected = {id(partner) for item, partner in pairs if item.kept and item.status == "measured"}
     true = None if truth is None else _true_objects(sample.frame, truth.objects, detected)
     return rows, FramePlaces(_places(sample.frame, objects), true)
 
 
-def _object_row(
-    log_id: str, sample: Sample, item: Object, partner: Object | None, is_true: bool | None
-) -> ObjectMetrics:
+def _object_row(key: Mapping[str, Any], item: Object, partner: Object | None, is_true: bool | None) -> ObjectMetrics:
     """The row of a detection; fields of the same name are copied."""
     found = item.detection
     same = {name: value for name, value in vars(item).items() if name in _COLUMNS}
@@ -47,8 +46,7 @@ def _object_row(
         "true_time_to_impact_s": None if partner is None else true_time_to_impact_s(partner),
         **{f"true_{name}": getattr(partner, name, None) for name in _TRUE},
     }
-    place = FrameKey(log_id, sample.index, sample.frame.stamp_ns)
-    return ObjectMetrics(**vars(place), label=found.label, score=found.score, **same | box | known)
+    return ObjectMetrics(**key, label=found.label, score=found.score, **same | box | known)
 
 
 def true_time_to_impact_s(true: Object) -> float | None:

@@ -48,7 +48,7 @@ class Mosaic:
     ``of_class`` at those of the box's classes. ``tags`` are None without tags. ``log_depth`` is the logarithm of the
     smoothed depth in metres. ``distances_m`` is the smoothed distance from the camera, 0 unknown or ``beyond`` the
     depth's range. ``noise`` is the absolute difference of the logarithm before and after smoothing. These four are None
-    without dense depth. ``ids`` are instance masks or None.
+    without dense depth, and ``beyond`` if no pixel is. ``ids`` are instance masks or None.
     """
 
     first_px: Indices
@@ -136,6 +136,7 @@ def cut_out(frame: Frame, lookups: Sequence[Image | None], boxes: Sequence[Box])
         distances = _ray_lengths(frame.camera, first_px, steps, tops, size)
         distances *= np.exp(log_depth)
         distances *= ~(beyond | unknown)
+        beyond = beyond if beyond.any() else None
     of_pixels = log_depth, distances, beyond, noise, ids
     return with_classes(Mosaic(first_px, steps, tops, inside, tags, inside, *of_pixels), lookups)
 

@@ -182,12 +182,13 @@ def of_region(cfg: ObjectsConfig, region: Region, inverse_std: float = 0.0) -> M
     ``inverse_std`` as in ``nearest``.
     """
     mosaic = region.division.mosaic
-    if mosaic.distances_m is None or mosaic.noise is None or mosaic.beyond is None:
+    if mosaic.distances_m is None or mosaic.noise is None:
         return UNKNOWN
     mask, part = region.division.of_region(region.number)
     near_m, known = _smoothed(mask, mosaic.distances_m[part])
-    if beyond := np.count_nonzero(mask & mosaic.beyond[part]):
-        near_m = np.append(near_m, np.full(beyond, np.inf, np.float32))
+    if mosaic.beyond is not None:
+        beyond = mask & mosaic.beyond[part]
+        near_m = np.append(near_m, np.full(np.count_nonzero(beyond), np.inf, np.float32)) if beyond.any() else near_m
     measured = _nearest(cfg, near_m, inverse_std)
     if measured.distance_m is None or measured.std_m is None:
         return measured
