@@ -89,8 +89,7 @@ def _chord(state: Float, projection: RoadProjection | None, far: float | None) -
     """The smoothed line drawn straight from the image's bottom edge to the road's far end."""
     if projection is None or far is None:
         return None
-    bottom = float(projection.camera.height)
-    nearest = projection.ground(np.array([[projection.camera.cx, bottom]]))[0, 0]
+    bottom, nearest = float(projection.camera.height), projection.nearest_m
     if not np.isfinite(nearest):
         return None
     x = np.array([nearest, max(nearest + 1.0, _CHORD_AHEAD_M)])

@@ -1,6 +1,7 @@
 """Both boundaries of the ego lane in a single frame, without state."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -46,7 +47,20 @@ class RoadProjection:
 
     def pixels(self, points: Float) -> Float:
         """(N, 2) pixels of (N, 3) ego points, NaN behind the camera."""
-        return project(self.camera, transform(inverse(self.ego_T_camera), points))
+        return project(self.camera, transform(self._camera_T_ego, points))
+
+    @cached_property
+    def _camera_T_ego(self) -> Float:
+        return inverse(self.ego_T_camera)
+
+    def ahead_m(self, row: float) -> float:
+        """Distance ahead of the road in the middle of a row, metres; NaN above the horizon."""
+        return float(self.ground(np.array([[self.camera.cx, row]]))[0, 0])
+
+    @cached_property
+    def nearest_m(self) -> float:
+        """Distance ahead of the road at the image's bottom edge, metres; NaN above the horizon."""
+        return self.ahead_m(float(self.camera.height))
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,7 @@ class Observation:
         """Distance ahead up to which a bonnet hides the road; 0 without one."""
         if self.bottom >= self.projection.camera.height:
             return 0.0
-        nearest_m = float(self.projection.ground(np.array([[self.projection.camera.cx, self.bottom]]))[0, 0])
+        nearest_m = self.projection.ahead_m(self.bottom)
         return nearest_m if np.isfinite(nearest_m) else 0.0
 
     @property
