@@ -18,7 +18,7 @@ from roadperc_stream.geometry.rotations import rotation_from_vector, rotation_ve
 from roadperc_stream.system.time import NS_PER_S
 
 MIN_INLIER_RATIO: Final = 0.25
-"""Minimum share of the visible points that agree on a steady motion; twice that for an unexpected one."""
+"""Minimum share of the found points that agree on a steady motion without depth; twice that for an unexpected one."""
 
 
 @dataclass(frozen=True)

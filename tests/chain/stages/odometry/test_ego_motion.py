@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roadperc_stream.chain.stages.odometry.features import tracking_frame
-from roadperc_stream.chain.stages.odometry.followed import MIN_INLIER_RATIO, FollowedFrame
+from roadperc_stream.chain.stages.odometry.followed import FollowedFrame
 from roadperc_stream.chain.stages.odometry.search import guesses
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.geometry import inverse, project, transform
@@ -300,4 +300,5 @@ def test_the_search_for_features_begins_where_a_steady_motion_predicts_them(miss
     assert np.isnan(anywhere).all()
     np.testing.assert_allclose(state.last.velocity[[0, 1, 2]], [0.4 / 0.05, 0.0, 0.0], atol=0.2)
     np.testing.assert_allclose(state.last.velocity[[3, 4, 5]], [0.0, 0.0, 0.01 / 0.05], atol=0.02)
-    assert (share, twice) == (MIN_INLIER_RATIO, 2 * MIN_INLIER_RATIO)
+    assert 0.1 < share < 0.5
+    assert twice == 2 * share
