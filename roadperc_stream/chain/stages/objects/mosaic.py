@@ -162,13 +162,13 @@ def with_classes(mosaic: Mosaic, lookups: Sequence[Image | None]) -> Mosaic:
 def part_of(mosaic: Mosaic, chosen: Sequence[int]) -> Mosaic:
     """The mosaic of some of the N boxes, by ascending position."""
     heights = np.diff(mosaic.tops)
-    rows = np.repeat(np.isin(np.arange(len(heights)), chosen), heights)
+    rows = np.concatenate([np.arange(*mosaic.tops[k : k + 2]) for k in chosen])
 
     def part(pixels: NDArray[T] | None) -> NDArray[T] | None:
-        return None if pixels is None else pixels[rows]
+        return None if pixels is None else pixels.take(rows, axis=0)
 
     first_px, steps, tops = mosaic.first_px[chosen], mosaic.steps[chosen], np.append(0, np.cumsum(heights[chosen]))
-    inside, tags, of_class = mosaic.inside[rows], part(mosaic.tags), mosaic.of_class[rows]
+    inside, tags, of_class = mosaic.inside.take(rows, axis=0), part(mosaic.tags), mosaic.of_class.take(rows, axis=0)
     log_depth, distances, beyond = part(mosaic.log_depth), part(mosaic.distances_m), part(mosaic.beyond)
     of_pixels = log_depth, distances, beyond, part(mosaic.noise), part(mosaic.ids)
     return Mosaic(first_px, steps, tops, inside, tags, of_class, *of_pixels)

@@ -186,9 +186,9 @@ def of_region(cfg: ObjectsConfig, region: Region, inverse_std: float = 0.0) -> M
         return UNKNOWN
     mask, part = region.division.of_region(region.number)
     near_m, known = _smoothed(mask, mosaic.distances_m[part])
-    if mosaic.beyond is not None:
-        beyond = mask & mosaic.beyond[part]
-        near_m = np.append(near_m, np.full(np.count_nonzero(beyond), np.inf, np.float32)) if beyond.any() else near_m
+    if mosaic.beyond is not None and len(near_m) < region.division.pixels[region.number]:
+        beyond = np.count_nonzero(mask & mosaic.beyond[part])
+        near_m = np.append(near_m, np.full(beyond, np.inf, np.float32))
     measured = _nearest(cfg, near_m, inverse_std)
     if measured.distance_m is None or measured.std_m is None:
         return measured
@@ -209,8 +209,7 @@ def _smoothed(of_region: Mask, distances_m: Float32) -> tuple[Float32, Mask]:
 
 def _sums_around(values: NDArray[Any], depth: int) -> NDArray[Any]:
     """(h, w) sums over the 3x3 square around each value, as numbers of an OpenCV depth."""
-    sums = cv2.boxFilter(values, depth, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(sums)
+    return cv2.boxFilter(values, depth, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
 def _doubt_m(fit: float, distance_m: float, near_m: Float32) -> float:
@@ -270,7 +269,8 @@ def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
     """Quantiles of values, each the nearest value below; ten times as fast as ``np.quantile``."""
     last = len(values) - 1
     ranks = [min(int(quantile * last), last) for quantile in quantiles]
-    parted = np.partition(values, ranks)
+    parted = values.copy()
+    parted.partition(ranks)
     return [parted.item(rank) for rank in ranks]
 
 
