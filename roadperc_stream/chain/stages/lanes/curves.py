@@ -68,20 +68,21 @@ _CHANCE_ROWS = 5.0
 class Edges:
     """Edges on the ground that face the ego lane from one side: (N,) x and y in metres in the ego frame, image rows.
 
-    Only edges up to ``FIT_MAX_M`` ahead, sorted by row.
+    Only edges up to ``FIT_MAX_M`` ahead, sorted by row. They were searched in every ``row_step``-th row.
     """
 
     x: Float
     y: Float
     rows: NDArray[np.int64]
+    row_step: int = 1
 
     @classmethod
-    def of(cls, points: Float, rows: Float) -> "Edges":
+    def of(cls, points: Float, rows: Float, row_step: int = 1) -> "Edges":
         """Edges from (N, 2) points and the image row of each; NaN points are left out."""
         ahead = np.flatnonzero((points[:, 0] > 0) & (points[:, 0] <= FIT_MAX_M) & np.isfinite(points[:, 1]))
         ahead = ahead[np.argsort(rows[ahead], kind="stable")]
         x, y = np.ascontiguousarray(points[ahead].T)
-        return cls(x, y, rows[ahead].astype(np.int64))
+        return cls(x, y, rows[ahead].astype(np.int64), row_step)
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ def _fit_at(
     farthest = min(FIT_MAX_M, max(noise.reach_m, nearest_m + _REACH_STEP_M))
     limits = Following(inward, min(reach, farthest), _REACH_STEP_M, farthest, noise.is_low, _MIN_POINTS, _MIN_ROWS)
     points = Points(edges.x, edges.y, std_m, edges.rows, *noise.strip_m(cfg, std_m))
-    weighing = Weighing(_FIT_HUBER, _CORRELATED_ROWS, _CURVATURE_INFORMATION)
+    weighing = Weighing(_FIT_HUBER, _CORRELATED_ROWS / edges.row_step, _CURVATURE_INFORMATION)
     fit = follow(points, (offset + aside, heading, curvature), limits, weighing)
     if fit is None:
         return None

@@ -134,29 +134,29 @@ class Observation:
         return self.table.name_of(int(counts.argmax())) if counts.any() else ""
 
 
-def facing_edges(separators: Image, drivable: Mask, top: int) -> dict[Side, Float]:
+def facing_edges(separators: Image, drivable: Mask, top: int, step: int = 1) -> dict[Side, Float]:
     """(N, 2) pixels on the edges between a separator and the road beside it, for each side of the ego lane.
 
-    Row by row from above, those of a row outermost first. ``separators`` (H - top, W) are 1 from row ``top`` down,
-    ``drivable`` is (H, W). The edges of a left boundary face right. Up to ``_FRINGE_PX`` pixels of other classes may
-    lie between separator and road.
+    Row by row from above, those of a row outermost first. ``separators`` (h, W) are 1, in every ``step``-th row from
+    ``top`` down; ``drivable`` is (H, W). The edges of a left boundary face right. Up to ``_FRINGE_PX`` pixels of other
+    classes may lie between separator and road.
     """
-    width, marked, road = separators.shape[1], separators.ravel(), drivable[top:].ravel()
+    width, marked, road = separators.shape[1], separators.ravel(), drivable[top::step].ravel()
     before = np.flatnonzero(marked[:-1] != marked[1:])  # the ends of all runs of separators
     faces_right = marked[before] > 0
     ends, towards = before + ~faces_right, np.where(faces_right, 1, -1)
     columns = ends % width
     gap = np.full(len(ends), -1)
     sought = np.flatnonzero((columns + towards >= 0) & (columns + towards < width))  # else that is in another row
-    for step in range(_FRINGE_PX + 1):
-        beyond = np.clip(columns[sought] + towards[sought] * (1 + step), 0, width - 1) + (ends - columns)[sought]
+    for between in range(_FRINGE_PX + 1):
+        beyond = np.clip(columns[sought] + towards[sought] * (1 + between), 0, width - 1) + (ends - columns)[sought]
         is_marked = marked[beyond] > 0
         met = road[beyond] & ~is_marked
-        gap[sought[met]] = step
+        gap[sought[met]] = between
         sought = sought[~(met | is_marked)]
     left, right = (np.flatnonzero((gap >= 0) & (towards == round(outward(side)))) for side in SIDES)
     right = right[np.argsort(ends[right] - 2 * columns[right])]  # mirrored: the columns of a row descend
-    pixels = np.stack((columns + towards * 0.5 * (gap + 1), ends // width + float(top)), axis=-1)
+    pixels = np.stack((columns + towards * 0.5 * (gap + 1), ends // width * step + float(top)), axis=-1)
     return {"left": pixels[left], "right": pixels[right]}
 
 
@@ -172,7 +172,7 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, height), step)
     on_road = lines.on_road(proposals, drivable[::step, ::step])
     groups = lines.merge(on_road * step, height)
-    edges = _edges(projection, mark(tags[far:], lookup), drivable, far) if cfg.model == "curve" else {}
+    edges = _edges(projection, mark(tags[far::step], lookup), drivable, far, step) if cfg.model == "curve" else {}
     ends = float(far), float(bottom)
     found = Observation(projection, tags, table, *ends, edge_pixels > 0, proposals * step, groups, edges)
     near = _near_lines(found)
@@ -180,11 +180,11 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     return replace(found, near=near, curves=closest)
 
 
-def _edges(projection: RoadProjection, separators: Image, drivable: Mask, top: int) -> dict[Side, Edges]:
+def _edges(projection: RoadProjection, separators: Image, drivable: Mask, top: int, step: int) -> dict[Side, Edges]:
     """``facing_edges`` on the ground."""
-    pixels = facing_edges(separators, drivable, top)
+    pixels = facing_edges(separators, drivable, top, step)
     points = np.split(projection.ground(np.concatenate([*pixels.values()]))[:, :2], [len(pixels["left"])])
-    return {side: Edges.of(at, pixels[side][:, 1]) for side, at in zip(pixels, points, strict=True)}
+    return {side: Edges.of(at, pixels[side][:, 1], step) for side, at in zip(pixels, points, strict=True)}
 
 
 def _near_lines(observation: Observation) -> dict[Side, tuple[LineGroup, ...]]:

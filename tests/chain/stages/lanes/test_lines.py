@@ -140,6 +140,14 @@ def test_facing_edges_look_towards_the_ego_lane():
     assert len(facing_edges(separators, ~road, 2)["left"]) == 0
 
 
+def test_edges_of_every_second_row_are_those_of_these_rows():
+    rng = np.random.default_rng(0)
+    separators, road = (rng.random((7, 30)) < 0.3).astype(np.uint8), rng.random((9, 30)) < 0.5
+    whole, every_second = facing_edges(separators, road, 2), facing_edges(separators[::2].copy(), road, 2, 2)
+    for side, edges in whole.items():
+        np.testing.assert_array_equal(every_second[side], edges[edges[:, 1] % 2 == 0])
+
+
 @pytest.mark.parametrize(("fringe_px", "found"), [(0, True), (1, True), (4, True), (5, False)])
 def test_edges_face_each_other_across_a_fringe_of_foreign_pixels(fringe_px, found):
     separators = np.zeros((4, 40), np.uint8)
