@@ -1,5 +1,6 @@
 """Metrics of the road's plane, its heights and the drivable pixels."""
 
+import cv2
 import numpy as np
 
 from roadperc_stream.config import ReplayConfig
@@ -19,7 +20,7 @@ TRUE_ROAD_M = 0.15
 def surface_columns(result: FrameResult) -> SurfaceColumns:
     """The road's plane, and the share of the image that is drivable."""
     surface, drivable = result.surface, result.drivable
-    drivable_ratio = None if isinstance(drivable, Absent) else np.count_nonzero(drivable) / drivable.size
+    drivable_ratio = None if isinstance(drivable, Absent) else cv2.countNonZero(drivable.view(np.uint8)) / drivable.size
     if isinstance(surface, Absent):
         return SurfaceColumns(drivable_ratio=drivable_ratio)
     return SurfaceColumns(

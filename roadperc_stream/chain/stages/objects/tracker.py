@@ -112,8 +112,8 @@ def step(
     tracks_of = _detected(cfg, state.next_number, frame, known, kept, pairs)
     edges = extents(frame, path, [own[k] for k in tracks_of])
     detected = {
-        k: _placed(cfg, frame, path, own[k], track, contacts.get(k), of_item)
-        for (k, track), of_item in zip(tracks_of.items(), edges, strict=True)
+        k: _placed(cfg, frame, path, own[k], track, contacts.get(k), of_item, seen)
+        for (k, track), of_item, seen in zip(tracks_of.items(), edges, kept.seen, strict=True)
     }
     missed = [object_track.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
     searched = _searched(cfg, frame, path, missed, kept)
@@ -238,13 +238,12 @@ def _placed(
     track: ObjectTrack,
     at: Contact | None,
     edges: Extent | None,
+    seen: Sighting | None,
 ) -> ObjectTrack:
     """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
     template = _template(cfg, frame, track)
     if at is None:
-        return object_track.seen_at(
-            object_track.placed(track, edges, template), _sighting(cfg, frame, item, track.box_px)
-        )
+        return object_track.seen_at(object_track.placed(track, edges, template), seen)
     track = object_track.placed(track, contact.extent(frame, path, item, at), template)
     track, box = changed(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
