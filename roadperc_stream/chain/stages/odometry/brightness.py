@@ -38,8 +38,8 @@ def shows_nothing(grey: Image) -> bool:
 
 def high_pass(grey: Image, side_px: int) -> Float32:
     """(H, W) an image minus its local mean in squares of this odd side: without slow changes of brightness."""
-    levels = grey.astype(np.float32)
-    return np.asarray(levels - cv2.blur(levels, (side_px, side_px)), np.float32)
+    means = cv2.boxFilter(grey, cv2.CV_32F, (side_px, side_px))
+    return np.asarray(cv2.subtract(grey, means, dtype=cv2.CV_32F), np.float32)
 
 
 def equalised(before: Image, after: Image) -> tuple[Image, Image]:
