@@ -118,7 +118,7 @@ def test_every_command_runs_in_order(tmp_path):
                 run(line, folder)
                 shorten(folder / "in.mcap", 0.3)
                 run("roadperc-replay in.mcap out.mcap --force", folder)
-                run("roadperc-replay in.mcap other.mcap --set surface.inlier_m=0.5 --force", folder)
+                run("roadperc-replay in.mcap other.mcap --set objects.distance_quantile=0.5 --force", folder)
             else:
                 run(line, folder)
     on_page = re.search(r"```text\n((?:worse|better): .*?)```", TEXTS["evaluation.md"], re.DOTALL)[1]
