@@ -91,15 +91,15 @@ def _over_replay(log: str, clock: str, threads: str, least: float) -> SpeedFigur
 
 _PNG: Final = replay_name("png", ONE)
 FIGURES: Final = (
-    *(_over_replay(log, "cpu", ONE, least) for log, least in (("png", 7), ("jpeg", 9), ("stereo", 5))),
-    *(_over_replay(log, "wall", ALL, least) for log, least in (("png", 10), ("jpeg", 12))),
+    *(_over_replay(log, "cpu", ONE, least) for log, least in (("png", 12), ("jpeg", 14), ("stereo", 5))),
+    *(_over_replay(log, "wall", ALL, least) for log, least in (("png", 16), ("jpeg", 20))),
     SpeedFigure("objects: p95 over median", f"{_PNG}/objects p95 over median", most=4),
     SpeedFigure("sum of parts over total", f"{_PNG}/parts over total", least=0.97, most=1.03),
     SpeedFigure("total of frames over cpu of replay", f"{_PNG}/part/total", f"{_PNG}/cpu"),
     SpeedFigure("peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", most=500),
     *(
         SpeedFigure(f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", most=most)
-        for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{_PNG}/first frame", 6))
+        for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{_PNG}/first frame", 8))
         for clock in ("cpu", "wall")
     ),
 )
