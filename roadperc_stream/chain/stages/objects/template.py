@@ -23,7 +23,7 @@ from roadperc_stream.model.frame import Frame
 
 _FLAT = 0.5
 """Standard deviation in grey levels up to which pixels have no texture, only rounding errors."""
-LARGEST_PX = 64
+LARGEST_PX = 96
 """Longest side of a template: the middle of a larger object is enough to find it."""
 _SMALLEST_PX = 8
 """Shortest side of a template: a smaller one matches everywhere."""

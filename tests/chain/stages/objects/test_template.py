@@ -27,7 +27,7 @@ def test_the_template_is_found_where_it_was_cut_out(around):
     ("box", "off_px", "shape"),
     [
         (Box(-10.0, 20.0, 30.0, 50.5), (5.0, 0.25), (31, 30)),  # beyond the image's border
-        (Box(10.25, 20.0, 110.0, 50.0), (-0.125, 0.0), (30, 64)),  # longer than a template
+        (Box(10.25, 20.0, 110.0, 50.0), (-0.125, 0.0), (30, 96)),  # longer than a template
     ],
 )
 def test_a_template_is_the_middle_of_its_box(box, off_px, shape):

@@ -246,7 +246,7 @@ def test_a_missed_detection_is_tracked_by_its_template(right, down):
 def test_a_large_object_is_found_by_a_template_of_its_middle():
     follower, image, large = Follower(), texture(), box("Car", 40, 20, 240, 200)
     first = seen_for(4, follower, image, right=2, car=large)
-    assert follower.state.tracks[0].template.grey.shape == (64, 64)
+    assert follower.state.tracks[0].template.grey.shape == (96, 96)
     follower.frame(grey=moved(image, 2 * first, 0))
     np.testing.assert_allclose(astuple(follower.only.detection.box_px), (48, 20, 248, 200), atol=1)
 
