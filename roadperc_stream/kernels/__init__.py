@@ -25,7 +25,6 @@ try:
             seen_by_both,
         )
         from roadperc_stream.kernels.surface_compiled import (
-            mark_near,
             median_places,
             normal_equations,
             solve_band,
@@ -38,7 +37,6 @@ except ImportError:
     from roadperc_stream.kernels.odometry_plain import align_patches
     from roadperc_stream.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
     from roadperc_stream.kernels.surface_plain import (
-        mark_near,
         median_places,
         normal_equations,
         solve_band,

@@ -1,48 +1,14 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Pixels near a plane, medians of cells, and normal equations; ``surface_plain`` documents the functions.
+"""Medians of cells, and normal equations; ``surface_plain`` documents the functions.
 
 Medians use Hoare's quickselect (1961) on keys, unsigned numbers in the order of value and index.
 """
 
-from libc.math cimport fabsf
-from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t, uint8_t
+from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
 from libc.stdlib cimport free, malloc
 from libc.string cimport memcpy
 
 import numpy as np
-
-
-cdef void _mark_row(
-    const float* depth, const float* column, float row, float offset, float within, const uint8_t* among, uint8_t* near,
-    Py_ssize_t width,
-) noexcept nogil:
-    cdef Py_ssize_t u
-    cdef float distance
-    for u in range(width):
-        distance = depth[u] * (row + column[u]) + offset
-        near[u] = among[u] & (fabsf(distance) <= within)
-
-
-def mark_near(
-    const float[:, ::1] depth_m, distances, float within_m, const uint8_t[:, ::1] among, uint8_t[:, ::1] near
-):
-    cdef const float[::1] column = distances[0], row = distances[1]
-    cdef float offset_m = distances[2]
-    cdef Py_ssize_t height = depth_m.shape[0], width = depth_m.shape[1], v
-    _require_fitting(height, width, column.shape[0], row.shape[0], among.shape[0], among.shape[1])
-    _require_fitting(height, width, column.shape[0], row.shape[0], near.shape[0], near.shape[1])
-    with nogil:
-        for v in range(height if width else 0):
-            _mark_row(&depth_m[v, 0], &column[0], row[v], offset_m, within_m, &among[v, 0], &near[v, 0], width)
-
-
-cdef _require_fitting(
-    Py_ssize_t height, Py_ssize_t width, Py_ssize_t columns, Py_ssize_t rows, Py_ssize_t mark_rows,
-    Py_ssize_t mark_columns,
-):
-    if (rows, columns) != (height, width) or (mark_rows, mark_columns) != (height, width):
-        raise ValueError(f"{height}x{width} depths: expected distances and marks of the same size, got "
-                         f"{rows}x{columns} and {mark_rows}x{mark_columns}")
 
 
 cdef inline uint64_t _key(float value, Py_ssize_t place) noexcept nogil:

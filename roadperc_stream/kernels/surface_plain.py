@@ -1,42 +1,10 @@
 """The functions of ``surface_compiled`` in numpy; only the compiled ones check sizes (ValueError)."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
-Marks = NDArray[np.uint8]
 Float = NDArray[np.float64]
 Places = NDArray[np.int64]
-
-
-class PlaneDistances(NamedTuple):
-    """The terms of a pixel's distance to a plane at depth z: z (column + row) + offset.
-
-    ``column`` (W,) and ``row`` (H,) are in metres per metre of depth; ``offset_m`` is the distance at depth 0.
-    """
-
-    column: Float32
-    row: Float32
-    offset_m: float
-
-
-def mark_near(depth_m: Float32, distances: PlaneDistances, within_m: float, among: Marks, near: Marks) -> None:
-    """Write to ``near`` (H, W) 1 at pixels of ``among`` (H, W) 0 or 1 within a distance of a plane, else 0.
-
-    ``depth_m`` is (H, W); NaN is never near. The distance counts to either side.
-    """
-    np.bitwise_and(among, _near(depth_m, distances, within_m), out=near)
-
-
-def _near(depth_m: Float32, distances: PlaneDistances, within_m: float) -> NDArray[np.bool_]:
-    column, row, offset_m = distances
-    with np.errstate(invalid="ignore", over="ignore"):
-        distance_m = depth_m * (row[:, None] + column[None, :])
-        distance_m += np.float32(offset_m)
-        near: NDArray[np.bool_] = np.abs(distance_m) <= np.float32(within_m)
-    return near
 
 
 def median_places(cell: NDArray[np.int32], values: NDArray[np.float32], cells: int) -> tuple[Places, Places]:

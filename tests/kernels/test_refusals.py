@@ -9,7 +9,7 @@ from roadperc_stream.kernels.stereo_plain import DisparityLimits
 from tests.kernels.forms import forms
 
 FLOATS, MARKS = np.ones((4, 5), np.float32), np.ones((4, 5), np.uint8)
-COLUMN, ROW = np.ones(5, np.float32), np.ones(4, np.float32)
+ROW = np.ones(4, np.float32)
 FIRST, VALUES, WEIGHTS = np.zeros(5, np.intp), np.ones((5, 3)), np.ones(5)
 PATCHES = MARKS, np.zeros((2, 2)), np.zeros((2, 2, 2)), MARKS, np.zeros((2, 2)), 4, 0.01
 PIXELS = KnownPixels(FLOATS, None, MARKS, MARKS, np.zeros(256, np.uint8))
@@ -32,9 +32,6 @@ def along(place, array):
 
 REFUSED = {
     "surface": [
-        ("mark_near", (FLOATS, (COLUMN[1:], ROW, 0.0), 1.0, MARKS, MARKS)),
-        ("mark_near", (FLOATS, (COLUMN, ROW, 0.0), 1.0, MARKS[:3], MARKS)),
-        ("mark_near", (FLOATS, (COLUMN, ROW, 0.0), 1.0, MARKS, MARKS[:3])),
         ("median_places", (np.int32([0, 1]), np.float32([1, 2, 3]), 2)),
         ("median_places", (np.int32([0, 1, 2]), np.float32([1, 2, 3]), 2)),
         ("median_places", (np.int32([-1, 0, 1]), np.float32([1, 2, 3]), 2)),

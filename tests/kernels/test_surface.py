@@ -1,26 +1,11 @@
-"""Pixels near a plane, medians of cells, normal equations: known answers, and the same bits by both forms."""
+"""Medians of cells, normal equations: known answers, and the same bits by both forms."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.kernels.forms import SEEDS, assert_same_bits, both, wild
-
-
-def image(seed, height, width):
-    """Depth, distances per depth, and marks."""
-    rng = np.random.default_rng(seed)
-    column, row = (rng.normal(size=length).astype(np.float32) for length in (width, height))
-    return wild(rng, (height, width), 3.0), column, row, rng.integers(0, 2, (height, width)).astype(np.uint8)
-
-
-@both("surface")
-def test_pixels_of_known_depth_within_the_distance_are_near(kernel):
-    depth = np.array([[1.0, 2.0, np.nan, 2.0], [1.0, 1.5, 2.0, 4.0]], np.float32)
-    among, near = np.array([[1, 1, 1, 0], [1, 1, 1, 1]], np.uint8), np.full((2, 4), 9, np.uint8)
-    kernel.mark_near(depth, (np.zeros(4, np.float32), np.ones(2, np.float32), -1.5), 0.5, among, near)
-    np.testing.assert_array_equal(near, [[1, 1, 0, 0], [1, 1, 1, 0]])
+from tests.kernels.forms import SEEDS, assert_same_bits, both
 
 
 @both("surface")
@@ -61,12 +46,6 @@ def test_a_band_has_the_solution_of_its_matrix(kernel, diagonals, count, seed):
 @pytest.mark.parametrize("lower", [[[0.0, 1.0]], [[1.0, 1.0], [1.0, 0.0]], [[1.0, -1.0]], [[np.nan, 1.0]]])
 def test_a_band_that_is_not_positive_definite_has_no_solution(kernel, lower):
     assert kernel.solve_band(np.array(lower), np.ones(2)) is None
-
-
-@given(SEEDS, st.integers(0, 12), st.integers(0, 40))
-def test_marks_are_the_same(seed, height, width):
-    depth, column, row, marks = image(seed, height, width)
-    assert_same_bits("surface", "mark_near", depth, (column, row, 0.25), 0.7, marks, np.full_like(marks, 9))
 
 
 @given(SEEDS, st.integers(0, 200), st.integers(1, 12), st.integers(1, 100))

@@ -5,7 +5,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.surface.plane import first_row, leaves_plane, pixels_near, road_plane, usable_pixels
+from roadperc_stream.chain.stages.surface.plane import (
+    ROWS_AT_ONCE,
+    first_row,
+    leaves_plane,
+    pixels_near,
+    road_plane,
+    usable_pixels,
+)
 from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_cells
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, rigid, transform
@@ -17,8 +24,6 @@ from roadperc_stream.model.frame import Frame
 _UP_EGO = np.array([0.0, 0.0, 1.0])
 _DRIVABLE_M = 0.15
 """Largest distance of a drivable pixel to the surface: three times an inlier's, because far depth has larger errors."""
-_ROWS_AT_ONCE = 32
-"""Rows per pass: their distances stay in the processor's cache between operations."""
 _FIELD_SAMPLES_M = np.arange(0.0, 201.0, 10.0), np.arange(-80.0, 81.0, 20.0)
 """Ego x and y at which a height field's highest row in the image is searched."""
 
@@ -125,8 +130,8 @@ def drivable_mask(cfg: SurfaceConfig, frame: Frame, surface: Surface | Absent) -
         return pixels_near(camera, depth_m, surface.plane, _DRIVABLE_M, among)
     top = max(first_row(among), _horizon_row(surface, camera, frame.ego_T_camera))
     mask = np.zeros(camera.size, bool)
-    for first in range(top, camera.height, _ROWS_AT_ONCE):
-        rows = slice(first, min(first + _ROWS_AT_ONCE, camera.height))
+    for first in range(top, camera.height, ROWS_AT_ONCE):
+        rows = slice(first, min(first + ROWS_AT_ONCE, camera.height))
         off_m = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[rows], first))
         # Unknown depth is never drivable: a comparison with NaN is False, in OpenCV, too.
         near = np.asarray(cv2.inRange(off_m, -_DRIVABLE_M, _DRIVABLE_M), np.uint8)
