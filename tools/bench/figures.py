@@ -99,7 +99,7 @@ FIGURES: Final = (
     SpeedFigure("peak memory with stereo, MB", f"{replay_name('stereo', ONE)}/peak_mb", most=500),
     *(
         SpeedFigure(f"{start} over {BARE}, {clock}", f"{quantity}/{clock}", f"{BARE}/{clock}", most=most)
-        for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{_PNG}/first frame", 8))
+        for start, quantity, most in (("--help", HELP, 1.7), ("first frame", f"{_PNG}/first frame", 6))
         for clock in ("cpu", "wall")
     ),
 )

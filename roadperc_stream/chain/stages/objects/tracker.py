@@ -111,9 +111,11 @@ def step(
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes, kept.seen))
     tracks_of = _detected(cfg, state.next_number, frame, known, kept, pairs)
     edges = extents(frame, path, [own[k] for k in tracks_of])
+    if contacts:
+        edges = [contact.extent(frame, path, own[k], contacts[k]) if k in contacts else None for k in tracks_of]
     detected = {
-        k: _placed(cfg, frame, path, own[k], track, contacts.get(k), of_item, seen)
-        for (k, track), of_item, seen in zip(tracks_of.items(), edges, kept.seen, strict=True)
+        k: _placed(cfg, frame, track, of_track, contacts.get(k), seen)
+        for (k, track), of_track, seen in zip(tracks_of.items(), edges, kept.seen, strict=True)
     }
     missed = [object_track.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
     searched = _searched(cfg, frame, path, missed, kept)
@@ -233,18 +235,15 @@ def _is_cut(camera: Camera, box: Box) -> bool:
 def _placed(
     cfg: ObjectsConfig,
     frame: Frame,
-    path: EgoPath,
-    item: Object,
     track: ObjectTrack,
-    at: Contact | None,
     edges: Extent | None,
+    at: Contact | None,
     seen: Sighting | None,
 ) -> ObjectTrack:
     """The track after its object's edges, its template and, at a ground contact, the growth of its box."""
-    template = _template(cfg, frame, track)
+    track = object_track.placed(track, edges, _template(cfg, frame, track))
     if at is None:
-        return object_track.seen_at(object_track.placed(track, edges, template), seen)
-    track = object_track.placed(track, contact.extent(frame, path, item, at), template)
+        return object_track.seen_at(track, seen)
     track, box = changed(track, ground_share=at.common_share), track.box_px
     edge_std_px = contact.edge_std_px(box.x_max - box.x_min), contact.edge_std_px(box.y_max - box.y_min)
     return object_track.grown(cfg, track, edge_std_px) if at.clear else track

@@ -23,7 +23,7 @@ from roadperc_stream.model import Absent, Reason
 
 _ASTRAY_PX = 20.0
 """Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
-_MIN_VISIBLE_SHARE: Final = 0.2
+MIN_VISIBLE_SHARE: Final = 0.2
 """Minimum share of the visible points with depth that agree on a steady motion; twice that for an unexpected one. Noise
 hides most points of a smooth road."""
 _NEAR_PX: Final = 0.6
@@ -55,7 +55,7 @@ def _estimates(this: FollowedFrame) -> Iterator[tuple[Estimate, float, bool]]:
     cfg, frame, keyframe = this.cfg, this.frame, this.keyframe
     has_depth = keyframe.landmarks.source == "depth"
     if has_depth and cfg.features == "klt" and (steady := _steady(this)) is not None:
-        yield steady, 2 * _MIN_VISIBLE_SHARE, True
+        yield steady, 2 * MIN_VISIBLE_SHARE, True
     for guess_px, near_px, ratio in guesses(this):
         start_px = _few_inside(guess_px, frame.grey.shape) if has_depth else guess_px
         px = FRONTENDS[cfg.features].match(cfg, keyframe.grey, keyframe.landmarks.features, start_px, frame.grey)
@@ -113,7 +113,7 @@ def guesses(this: FollowedFrame) -> Iterator[tuple[Float32, Float32, float]]:
     shifted by one repetition also agree on a motion. The second guess is the last pixels; NaN accepts any match.
     """
     frame, keyframe, last = this.frame, this.keyframe, this.last
-    share = _MIN_VISIBLE_SHARE if keyframe.landmarks.source == "depth" else MIN_INLIER_RATIO
+    share = MIN_VISIBLE_SHARE if keyframe.landmarks.source == "depth" else MIN_INLIER_RATIO
     if (this_T_key := this.expected_this_T_key) is not None:
         predicted = project(frame.camera, transform(this_T_key, keyframe.landmarks.points_m)).astype(np.float32)
         yield np.where(np.isfinite(predicted), predicted, last.found_px), predicted, share

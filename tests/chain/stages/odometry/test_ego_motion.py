@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from roadperc_stream.chain.stages.odometry.features import tracking_frame
 from roadperc_stream.chain.stages.odometry.followed import FollowedFrame
-from roadperc_stream.chain.stages.odometry.search import guesses
+from roadperc_stream.chain.stages.odometry.search import MIN_VISIBLE_SHARE, guesses
 from roadperc_stream.chain.stages.surface.road import assumed_surface
 from roadperc_stream.geometry import inverse, project, transform
 from roadperc_stream.model import Absent, Reason
@@ -300,5 +300,4 @@ def test_the_search_for_features_begins_where_a_steady_motion_predicts_them(miss
     assert np.isnan(anywhere).all()
     np.testing.assert_allclose(state.last.velocity[[0, 1, 2]], [0.4 / 0.05, 0.0, 0.0], atol=0.2)
     np.testing.assert_allclose(state.last.velocity[[3, 4, 5]], [0.0, 0.0, 0.01 / 0.05], atol=0.02)
-    assert 0.1 < share < 0.5
-    assert twice == 2 * share
+    assert (share, twice) == (MIN_VISIBLE_SHARE, 2 * MIN_VISIBLE_SHARE)

@@ -170,6 +170,7 @@ def test_points_all_in_one_place_give_no_plane(scale):
     road = Road(width=320, height=240)
     found = fit(road, (road.depth_m() * scale).astype(np.float32), None)
     assert isinstance(found, Absent)
+    assert found.reason.code == "no_plane"
 
 
 FLAT = Hill(width=320, height=240, grade=0.0)
