@@ -119,7 +119,7 @@ class Frame:
         """``depth_m`` if most pixels have a depth; None for lidar points."""
         return self.depth_m if self.has_dense_depth else None
 
-    @property
+    @cached_property
     def _is_depth_of_camera(self) -> bool:
         """Whether the depth is in the front camera's image, pixel by pixel."""
         is_here = np.allclose(self.ego_T_camera, self.ego_T_depth_camera, atol=_SAME_PLACE_M)
