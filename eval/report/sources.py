@@ -171,7 +171,7 @@ class Frames:
             TableError: a table cannot be read.
         """
         names = [q.column for q in NUMBERS if q.column in wanted]
-        most = min(max(_MOST_VALUES // len(self.run), 1), len(names))
+        most = max(min(_MOST_VALUES // len(self.run), len(names)), 1)
         values = np.empty((most, len(self.run)))
         for at in range(0, len(names), most):
             group = dict(zip(names[at : at + most], values, strict=False))
@@ -221,15 +221,24 @@ def load(source: FrameSource, by: Sequence[str] = ()) -> Frames:
     require_roots(of_rows, {*schema} - {RUN, FILE}, (*source.facts.columns, *columns_of(ObjectMetrics)), source.title)
     files = [FILE] if source.many else []
     identity = [*dict.fromkeys((*source.keys, "log_id", "config")), *files]
-    rows = source.collect(*identity, "frame", SEGMENT, "stamp_ns", *(as_key(text, schema) for text in of_rows))
-    if rows.is_empty():
-        raise TableError("no log to report: other logs have replaced all files, and these have no tables")
-    if source.many:
-        require_named(rows)
-    piece, pieces = numbered(rows.select(identity))
-    run_of_piece, runs = numbered(pieces.select(source.keys))
+    others: list[pl.DataFrame] = []
+
+    def identities() -> Iterator[pl.DataFrame]:
+        """The identity in batches, because the texts of all rows would take half a gigabyte."""
+        for batch in source.batches(*identity, "frame", SEGMENT, "stamp_ns", *(as_key(t, schema) for t in of_rows)):
+            if source.many:
+                require_named(batch)
+            others.append(batch.drop(identity))
+            yield batch.select(identity)
+        if not others:
+            raise TableError("no log to report: other logs have replaced all files, and these have no tables")
+
+    piece, pieces = numbered(identities())
+    rows = pl.concat(others, rechunk=True)
+    others.clear()
+    run_of_piece, runs = numbered([pieces.select(source.keys)])
     run = run_of_piece[piece]
-    segment, segments = numbered(pl.DataFrame({RUN: run, SEGMENT: rows[SEGMENT]}))
+    segment, segments = numbered(pl.DataFrame({RUN: run, SEGMENT: rows[SEGMENT]}).iter_slices(_ROWS))
     of_segment = rows.select("frame", "stamp_ns", pl.Series(SEGMENT, segment))
     segments = segments.hstack(_extents(of_segment)).with_columns(start_ns=_start_ns())
     return Frames(
@@ -250,19 +259,25 @@ def of_runs(source: FrameSource, expression: str) -> bool:
     return {*source.facts.columns} >= {*roots(expression)}
 
 
-def numbered(rows: pl.DataFrame) -> tuple[Numbers, pl.DataFrame]:
+def numbered(batches: Iterable[pl.DataFrame]) -> tuple[Numbers, pl.DataFrame]:
     """The number of each row's values, (N,), and the distinct rows in the order of their numbers.
 
     Equal rows mostly follow each other, so that only the first of each series is looked at.
     """
-    names = rows.columns
-    changed = rows.select(pl.any_horizontal(pl.col(name).ne_missing(pl.col(name).shift()) for name in names))
-    series = changed.to_series().to_numpy()
-    series[:1] = True
-    first = rows.filter(pl.Series(series))
+    changes, firsts = [], []
+    for rows in batches:
+        changed = rows.select(pl.any_horizontal(pl.all().ne_missing(pl.all().shift()))).to_series().to_numpy()
+        changed[:1] = True
+        changes.append(changed)
+        firsts.append(rows.filter(changed).with_columns(pl.col(pl.String) + ""))  # frees the texts of other rows
+    first = pl.concat(firsts)
     distinct = first.unique(maintain_order=True)
-    numbers = first.join(distinct.with_row_index(), on=names, how="left", maintain_order="left", nulls_equal=True)
-    return numbers["index"].to_numpy().astype(np.int64)[np.cumsum(series) - 1], distinct
+    numbers = first.join(
+        distinct.with_row_index(), on=distinct.columns, how="left", maintain_order="left", nulls_equal=True
+    )
+    series = np.concatenate(changes)
+    lengths = np.diff(np.flatnonzero(series), append=len(series))
+    return np.repeat(numbers["index"].to_numpy().astype(np.int64), lengths), distinct
 
 
 def _start_ns() -> pl.Expr:
@@ -274,7 +289,8 @@ def _extents(rows: pl.DataFrame) -> pl.DataFrame:
     """Frames, first and last stamp and frame, and the longest gap of each segment."""
     stamps = pl.col("stamp_ns")
     found = (
-        rows.with_columns(difference(stamps).alias("gap_ns"))
+        rows.lazy()
+        .with_columns(difference(stamps).alias("gap_ns"))
         .group_by(SEGMENT, maintain_order=True)
         .agg(
             pl.len().alias("frames"),
@@ -285,7 +301,7 @@ def _extents(rows: pl.DataFrame) -> pl.DataFrame:
             pl.max("gap_ns"),
         )
     )
-    return found.drop(SEGMENT)
+    return found.collect(engine="streaming").drop(SEGMENT)
 
 
 def _facts(source: FrameSource, runs: pl.DataFrame, pieces: pl.DataFrame, segments: pl.DataFrame) -> pl.DataFrame:

@@ -12,7 +12,7 @@ from roadperc_stream.schemas.columns.hindsight import FRAME_HINDSIGHT
 
 from ..report_columns import COVERED, NUMBERS, QUALITY, SPEED, TOTAL, TRUTH_OF, Quantity, percent, rounded, with_unit
 from ..results import Case
-from .summaries import Summary, WorstFrame
+from .summaries import Columns, Summary, WorstFrame
 
 Command = Callable[[WorstFrame], str]
 """The command that shows a frame."""
@@ -70,13 +70,12 @@ _STAGES: Final = {
 }
 TRUE_POSES: Final = "turn_error_deg"
 """A column with values if the log has true poses."""
-COLUMNS: Final = frozenset(
-    (
-        *(column for of in _STAGES.values() for column in (*of.errors, of.quality, of.telling)),
-        *(*COVERED.values(), "step_m", TRUE_POSES, TOTAL.column),
-    )
+COLUMNS: Final = Columns(
+    frozenset((*(of.error for of in _STAGES.values()), _HEIGHT, TRUE_POSES, TOTAL.column)),
+    counted=(*COVERED.values(), "step_m"),
+    instead={column: of.error for of in _STAGES.values() for column in (*of.errors[1:], of.quality, of.telling)},
 )
-"""The numeric columns of the short report."""
+"""The numeric columns of the short report; hindsight and quality replace errors against truth."""
 NO_SCALE: Final = "without metric scale"
 _ASSUMED: Final = "the assumed height"
 _NARROW: Final = {

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 
 from roadperc_stream.geometry import Float
 
@@ -31,14 +30,14 @@ class Statistics:
 
 
 def statistics(values: Float) -> Statistics:
-    """Statistics of (N,) finite values, at least one."""
-    least, most = float(values.min()), float(values.max())
+    """Statistics of (N,) finite values, at least one. The values are overwritten, which saves copies."""
+    least, most, total, std = (float(of(values)) for of in (np.min, np.max, np.sum, np.std))
     p5, median, p95, p99 = quantiles(values, (0.05, 0.5, 0.95, 0.99))
-    abs_median, abs_p95 = (median, p95) if least >= 0 else quantiles(np.abs(values), (0.5, 0.95))
+    abs_median, abs_p95 = (median, p95) if least >= 0 else quantiles(np.abs(values, out=values), (0.5, 0.95))
     return Statistics(
         values=len(values),
-        total=float(values.sum()),
-        std=float(values.std()),
+        total=total,
+        std=std,
         least=least,
         abs_most=max(-least, most),
         p5=p5,
@@ -51,6 +50,17 @@ def statistics(values: Float) -> Statistics:
 
 
 def quantiles(values: Float, shares: Sequence[float]) -> list[float]:
-    """Quantiles of (N,) values with linear interpolation; polars takes half the time of ``numpy.quantile``."""
-    series = pl.Series(values)
-    return [series.quantile(share, "linear") for share in shares]  # type: ignore[misc]
+    """Quantiles of (N,) values at ascending shares with linear interpolation; the values are reordered.
+
+    Each search begins at the place of the previous one: less than half the time of ``numpy.quantile``, and no copies.
+    """
+    found: list[float] = []
+    begin = 0
+    for share in shares:
+        place = share * (len(values) - 1)
+        rank = int(place)
+        values[begin:].partition(rank - begin)
+        low, above = float(values[rank]), values[rank + 1 :]
+        found.append(low + (place - rank) * (float(above.min()) - low) if len(above) else low)
+        begin = rank
+    return found

@@ -2,10 +2,11 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +26,21 @@ from .lag import averaged, lag_frames, traces
 from .sources import RUN, Frames, Numbers
 from .statistics import Statistics, statistics
 
-ALL: Final = frozenset(quantity.column for quantity in NUMBERS)
+
+@dataclass(frozen=True)
+class Columns:
+    """The numeric columns to summarise.
+
+    ``summarised`` have statistics, and of ``counted`` only the frames with a value are counted. A key of ``instead`` is
+    summarised, too, if the column that is its value has no value in any frame.
+    """
+
+    summarised: Collection[str]
+    counted: Sequence[str] = ()
+    instead: Mapping[str, str] = field(default_factory=dict)
+
+
+ALL: Final = Columns(frozenset(quantity.column for quantity in NUMBERS))
 """All columns of a report."""
 BETWEEN: Final = "\t"
 """Separates a true text from its estimate."""
@@ -69,9 +84,10 @@ class Summary:
     """The figures of a set of rows.
 
     ``log_ids`` are digests of the logs' messages; ``configs`` and ``versions`` identify the replays. ``statistics`` has
-    the numeric columns with values. ``incomplete`` counts the frames in which any role lacks a message, ``missing``
-    those of each role. ``categories`` counts the values of each text column, ``reasons`` the reasons of absent outputs.
-    ``totals`` are the sums of the count columns that have values. ``worst`` has the worst frames per column.
+    the numeric columns with values, ``counted`` the numbers of values of others. ``incomplete`` counts the frames in
+    which any role lacks a message, ``missing`` those of each role. ``categories`` counts the values of each text
+    column, ``reasons`` the reasons of absent outputs. ``totals`` are the sums of the count columns that have values.
+    ``worst`` has the worst frames per column.
 
     ``segments`` is the number of segments, ``span_s`` the sum of their time spans, ``longest_gap_s`` the longest time
     between two frames of one; they are known of whole runs only. ``mounting_height_m`` is the camera's height by the
@@ -89,6 +105,7 @@ class Summary:
     categories: Mapping[str, Counter[str]] = field(default_factory=dict)
     missing: Counter[str] = field(default_factory=Counter)
     reasons: ReasonCounts = field(default_factory=dict)
+    counted: Mapping[str, int] = field(default_factory=dict)
     totals: Mapping[str, int] = field(default_factory=dict)
     statistics: Mapping[str, Statistics] = field(default_factory=dict)
     segments: int = 0
@@ -107,7 +124,7 @@ class Summary:
     def coverage(self, column: str) -> float:
         """Share of frames with a value in a numeric column."""
         found = self.statistics.get(column)
-        return found.values / self.frames if found else 0.0
+        return (found.values if found else self.counted.get(column, 0)) / self.frames
 
     def share(self, column: str, *values: str) -> float:
         """Share of frames with one of these values in a text column."""
@@ -162,15 +179,15 @@ def groups_of_runs(frames: Frames, names: Sequence[str]) -> Groups:
 def summarise(
     frames: Frames,
     groupings: Sequence[Groups],
-    columns: Container[str] = ALL,
+    columns: Columns = ALL,
     worst: int = 1,
     *,
     also: ByColumn | None = None,
 ) -> list[list[Summary]]:
     """The figures of some ``columns`` in the groups of each grouping, with the ``worst`` frames by each quantity.
 
-    Each column is read once. ``also`` is called with its name and its values, in several threads. Summaries of all
-    columns also have counts, correlations and consistency.
+    Each summarised column is read once, and ``also`` is called with its name and its values, in several threads.
+    Summaries of all columns also have counts, correlations and consistency.
 
     Raises:
         TableError: a table cannot be read.
@@ -193,11 +210,15 @@ def summarise(
             also(name, values)
 
     with ThreadPoolExecutor(_THREADS) as threads:
-        for of_names in frames.columns(columns):
+        for of_names in frames.columns(columns.summarised):
+            list(threads.map(add, of_names, of_names.values()))
+        found = {*chain.from_iterable(statistics_by[0])}
+        more = {name for name, other in columns.instead.items() if other not in found} - {*columns.summarised}
+        for of_names in frames.columns(more):
             list(threads.map(add, of_names, of_names.values()))
     by_run = _by_run(frames) if whole else {}
     totals = frames.beside(COUNTS) if whole else None
-    texts = _texts(frames, groupings, _TEXTS if whole else _STATES)
+    texts = _texts(frames, groupings, _TEXTS if whole else _STATES, columns.counted)
     return [
         [
             replace(
@@ -297,18 +318,23 @@ def _totals(counts: pl.DataFrame | None, at: Numbers) -> dict[str, int]:
     return {name: int(total) for name, total in sums.row(0, named=True).items() if total is not None}
 
 
-def _texts(frames: Frames, groupings: Sequence[Groups], texts: Mapping[str, pl.Expr]) -> list[list[dict[str, Any]]]:
-    """The counts of texts, missing messages and reasons in each group of each grouping."""
+def _texts(
+    frames: Frames, groupings: Sequence[Groups], texts: Mapping[str, pl.Expr], numbers: Sequence[str]
+) -> list[list[dict[str, Any]]]:
+    """The counts of texts, missing messages, reasons and known numbers in each group of each grouping."""
     counted = [[_Texts() for _ in groups.names] for groups in groupings]
     columns = [text.alias(name) for name, text in texts.items()]
     begin = 0
-    for batch in frames.source.batches(*columns, "missing", "reasons"):
+    for batch in frames.source.batches(*columns, "missing", "reasons", *numbers):
         for groups, found in zip(groupings, counted, strict=True):
             group = pl.Series(_GROUP, groups.of_frames[begin : begin + batch.height])
-            for name in batch.columns:
+            for name in numbers:
+                for place, count in group.filter(batch[name].is_finite()).value_counts().iter_rows():
+                    found[place].counted[name] += count
+            for name in (*texts, "missing", "reasons"):
                 rows = pl.DataFrame([group, batch[name].alias("text")])
                 if rows.schema["text"].base_type() is pl.List:
-                    rows = rows.explode("text")
+                    rows = rows.filter(pl.col("text").list.len() > 0).explode("text")
                 counts = rows.drop_nulls("text").group_by(_GROUP, "text", maintain_order=True).len()
                 for (place,), part in (
                     counts.sort("len", descending=True, maintain_order=True)
@@ -331,6 +357,7 @@ class _Texts:
     missing: Counter[str] = field(default_factory=Counter)
     incomplete: int = 0
     reasons: ReasonCounts = field(default_factory=dict)
+    counted: Counter[str] = field(default_factory=Counter)
 
     def add(self, column: str, counts: Sequence[tuple[Any, int]]) -> None:
         """Add the counts of the texts of a column; those of reasons are mappings."""
