@@ -102,7 +102,8 @@ def correlations(own: Float, true: Float) -> Float:
     """(2 K + 1,) correlations of two (N,) series, the second one -K to K frames later; 0 with too few known pairs."""
     found = np.zeros(2 * _MOST_FRAMES + 1)
     for place, late in enumerate(range(-_MOST_FRAMES, _MOST_FRAMES + 1)):
-        pairs = np.stack((own[max(-late, 0) : len(own) - max(late, 0)], true[max(late, 0) : len(true) + min(late, 0)]))
+        count = max(len(own) - abs(late), 0)
+        pairs = np.stack((own[max(-late, 0) :][:count], true[max(late, 0) :][:count]))
         pairs = pairs[:, ~np.isnan(pairs).any(axis=0)]
         if pairs.shape[1] >= _FEWEST_PAIRS and pairs.std(axis=1).min() > 0:
             found[place] = np.corrcoef(*pairs)[0, 1]

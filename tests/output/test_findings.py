@@ -248,3 +248,8 @@ def test_the_delay_is_named_in_seconds():
 )
 def test_right_short_standing_and_noisy_drives_are_no_finding(changes):
     assert codes_of(drive(**changes)) == {}
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5, 9, 10, 11])
+def test_turns_in_a_few_frames_are_no_finding(frames):
+    assert codes_of([*drive(10 * frames)][::10]) == {}
