@@ -25,7 +25,9 @@ from roadperc_stream.schemas.columns.places import TrueObject, TrueObjectListCol
 from roadperc_stream.schemas.record import NETWORKS_COMMENT
 from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_partials, target_errors
 
-ROW_GROUP_ROWS: Final = 1000
+ROW_GROUP_ROWS: Final = 5000
+_OBJECT_ROWS: Final = 1000
+"""Most rows that a writer keeps as Python's objects, which need ten times the memory of Arrow's."""
 FACT_PREFIX: Final = "roadperc."
 """Prefix of this project's keys in the footer of a table."""
 _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
@@ -210,7 +212,7 @@ def copy_table(source: Path, target: Path, facts: Mapping[str, str], constant: M
         more = _encoded({f"{FACT_PREFIX}{key}": value for key, value in known.items()})
         columns = [*old, *(_field(name, type(value)) for name, value in constant.items())]
         schema = pa.schema(columns, (old.metadata or {}) | more)
-        with target_errors(target), pq.ParquetWriter(target, schema, compression="zstd") as copy:
+        with target_errors(target), parquet_writer(target, schema) as copy:
             for group in range(table.num_row_groups):
                 rows = table.read_row_group(group)
                 columns = [pa.repeat(pa.scalar(value), len(rows)) for value in constant.values()]
@@ -248,6 +250,12 @@ def _numpy(column: pa.ChunkedArray) -> NDArray[Any]:
     return values
 
 
+def parquet_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    """A writer of a table. Floats are mostly distinct; a dictionary of them would take space and time."""
+    others = [field.name for field in schema if not pa.types.is_floating(field.type)]
+    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=others)
+
+
 class TableWriter:
     """Writes rows to a Parquet file, which gets its name only when complete. Use it as a context manager.
 
@@ -267,12 +275,13 @@ class TableWriter:
         self._constant = dict(constant or {})
         self._schema = arrow_schema(row_type, extra, facts, self._constant)
         self._rows: list[dict[str, Any]] = []
+        self._tables: list[pa.Table] = []
 
     def __enter__(self) -> Self:
         with target_errors(self._path):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             remove_stale_partials(self._path)
-            self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
+            self._writer = parquet_writer(self._temporary, self._schema)
         return self
 
     def append(self, row: Any, **extra: Any) -> None:
@@ -282,14 +291,18 @@ class TableWriter:
             TargetError: the row cannot be written, as on a full disk.
         """
         self._rows.append(cells(row) | extra | self._constant)
-        if len(self._rows) >= ROW_GROUP_ROWS:
-            self._flush()
+        if len(self._rows) >= _OBJECT_ROWS:
+            self._flush(ROW_GROUP_ROWS)
 
-    def _flush(self) -> None:
-        if self._rows:
+    def _flush(self, least: int = 1) -> None:
+        """Write the rows if there are at least as many."""
+        self._tables.append(pa.Table.from_pylist(self._rows, schema=self._schema))
+        self._rows.clear()
+        rows = pa.concat_tables(self._tables)
+        if len(rows) >= least:
             with target_errors(self._path):
-                self._writer.write_table(pa.Table.from_pylist(self._rows, schema=self._schema))
-            self._rows.clear()
+                self._writer.write_table(rows)
+            self._tables.clear()
 
     def add_facts(self, facts: Mapping[str, str]) -> None:
         """Add entries to the footer, known only after the last row."""
@@ -321,7 +334,7 @@ class TableWriter:
         """
         begin = 0
         with target_errors(self._path), pq.ParquetFile(self._temporary.replace(self._before)) as table:
-            self._writer = pq.ParquetWriter(self._temporary, self._schema, compression="zstd")
+            self._writer = parquet_writer(self._temporary, self._schema)
             for number in range(table.num_row_groups):
                 group = table.read_row_group(number, use_threads=False)
                 for name, values in columns.items():

@@ -12,12 +12,11 @@ from typing import Any, Final, get_type_hints
 import numpy as np
 import polars as pl
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from roadperc_stream.cli.launch import run
 from roadperc_stream.cli.values import whole_number
 from roadperc_stream.model import Reason
-from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema
+from roadperc_stream.output.tables import FACT_PREFIX, ROW_GROUP_ROWS, TableWriter, arrow_schema, parquet_writer
 from roadperc_stream.output.terminal import console_for, frame_progress, print_table
 from roadperc_stream.output.text_table import Table
 from roadperc_stream.schemas.columns import EXTRA_COLUMNS, TIME_COLUMNS, FrameMetrics, columns_of
@@ -106,7 +105,8 @@ def _write(path: Path, index: int, rows: int, config: str) -> None:
     columns["stamp_ns"] = pa.array(np.arange(rows) * 50_000_000)
     columns["config"] = pa.array([config] * rows)
     partial = path.with_suffix(".partial")
-    pq.write_table(pa.table(columns, schema=schema), partial, ROW_GROUP_ROWS, compression="zstd")
+    with parquet_writer(partial, schema) as table:
+        table.write_table(pa.table(columns, schema=schema), ROW_GROUP_ROWS)
     partial.replace(path)
 
 
