@@ -328,9 +328,10 @@ def _texts(
     for batch in frames.source.batches(*columns, "missing", "reasons", *numbers):
         for groups, found in zip(groupings, counted, strict=True):
             group = pl.Series(_GROUP, groups.of_frames[begin : begin + batch.height])
-            for name in numbers:
-                for place, count in group.filter(batch[name].is_finite()).value_counts().iter_rows():
-                    found[place].counted[name] += count
+            known = batch.select(group, pl.col("missing").list.len() > 0, pl.col(list(numbers)).is_finite())
+            for place, incomplete, *counts in known.group_by(_GROUP).sum().iter_rows():
+                found[place].incomplete += incomplete
+                found[place].counted.update(dict(zip(numbers, counts, strict=True)))
             for name in (*texts, "missing", "reasons"):
                 rows = pl.DataFrame([group, batch[name].alias("text")])
                 if rows.schema["text"].base_type() is pl.List:
@@ -342,9 +343,6 @@ def _texts(
                     .items()
                 ):
                     found[place].add(name, list(part.select("text", "len").iter_rows()))
-            lacking = group.filter(batch["missing"].list.len() > 0).value_counts()
-            for place, count in lacking.iter_rows():
-                found[place].incomplete += count
         begin += batch.height
     return [[vars(item) for item in found] for found in counted]
 
