@@ -266,12 +266,9 @@ def _nearest(cfg: ObjectsConfig, known: NDArray[np.floating[Any]], inverse_std: 
 
 
 def ranked(values: NDArray[np.floating[Any]], *quantiles: float) -> list[float]:
-    """Quantiles of values, each the nearest value below; ten times as fast as ``np.quantile``."""
-    last = len(values) - 1
-    ranks = [min(int(quantile * last), last) for quantile in quantiles]
-    parted = values.copy()
-    parted.partition(ranks)
-    return [parted.item(rank) for rank in ranks]
+    """Quantiles of values, each the nearest value below; NumPy sorts faster than it partitions at several ranks."""
+    last, ordered = len(values) - 1, np.sort(values)
+    return [ordered.item(min(int(quantile * last), last)) for quantile in quantiles]
 
 
 def bounds_of_groups(
