@@ -23,7 +23,7 @@ def mark(tags: Image, lookup: Image) -> Image:
     """(H, W) 1 at pixels of a class, else 0; ``lookup`` is (256,) 1 at its tags. ``tags`` (H, W) are not empty."""
     import cv2  # readers of results do not need it
 
-    return np.asarray(cv2.LUT(np.ascontiguousarray(tags), lookup), np.uint8)
+    return np.asarray(cv2.LUT(tags, lookup), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,10 @@ class Frame:
         if self.table is None or self.tags is None:
             return None
         if classes not in self._labels:
-            self._labels[classes] = mark(self.tags, self.table.lookup(classes))
-            self._labels[classes].setflags(write=False)
+            chosen = np.zeros(self.tags.shape, bool)
+            for tag in self.table.tags_of(classes):  # for a few tags, a third of the time of ``mark``
+                chosen |= self.tags == tag
+            self._labels[classes] = read_only(chosen.view(np.uint8), np.uint8, (None, None), "labels")
         return self._labels[classes]
 
     def labels_of_depth(self, classes: tuple[str, ...]) -> Image | None:
