@@ -183,8 +183,8 @@ def _boundary(boundary: Boundary) -> pb.Boundary:
         "status": pb.Boundary.Status.Value(boundary.status.upper()),
         "raw_px": None if boundary.raw_px is None else _line(boundary.raw_px),
         "smoothed_px": None if boundary.smoothed_px is None else _line(boundary.smoothed_px),
-        "line_ego_m": [pb.Vector3(x=x, y=y, z=z) for x, y, z in boundary.line_ego_m.tolist()],
-        "line_px": [pb.Point2(x=x, y=y) for x, y in boundary.line_px.tolist()],
+        "line_ego_m": [{"x": x, "y": y, "z": z} for x, y, z in boundary.line_ego_m.tolist()],
+        "line_px": [{"x": x, "y": y} for x, y in boundary.line_px.tolist()],
         "reason": None if boundary.reason is None else pb.Reason(**boundary.reason.stored),
     }
     return pb.Boundary(**vars(boundary) | converted)

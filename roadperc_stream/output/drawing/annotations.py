@@ -1,6 +1,6 @@
 """Encodes results for viewers: foxglove.ImageAnnotations over the image, foxglove.SceneUpdate in 3D."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache, lru_cache
 from typing import Any, Final
 
@@ -10,7 +10,6 @@ from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Point2_pb2 import Point2
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -95,16 +94,17 @@ def drivable_scene(stamp_ns: int, surface: Surface, camera: Camera, ego_T_camera
     entity = message.entities.add(frame_id=EGO, id="drivable")
     set_stamp(entity, stamp_ns)
     patch = road_patch(surface)
-    triangles = entity.triangles.add(
-        color=_color(colours.DRIVABLE, 0.25), indices=patch_triangles(patch).ravel().tolist()
-    )
-    triangles.points.extend(_points3(patch))
+    indices = patch_triangles(patch).ravel().tolist()
+    entity.triangles.add(color=_color(colours.DRIVABLE, 0.25), indices=indices, points=_points3(patch))
     outline = _outline(surface, camera, ego_T_camera, mask)
     if len(outline):
-        line = entity.lines.add(
-            type=LinePrimitive.LINE_LOOP, thickness=2.0, scale_invariant=True, color=_color(colours.DRIVABLE)
+        entity.lines.add(
+            type=LinePrimitive.LINE_LOOP,
+            thickness=2.0,
+            scale_invariant=True,
+            color=_color(colours.DRIVABLE),
+            points=_points3(outline),
         )
-        line.points.extend(_points3(outline))
     return message.SerializeToString()
 
 
@@ -115,9 +115,8 @@ def lanes_scene(stamp_ns: int, lanes: Lanes) -> bytes:
         entity = message.entities.add(frame_id=EGO, id=f"lane_{boundary.side}")
         set_stamp(entity, stamp_ns)
         if len(boundary.line_ego_m):
-            colour = _color(colours.BOUNDARY[boundary.status])
-            line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.1, color=colour)
-            line.points.extend(_points3(boundary.line_ego_m))
+            colour, points = _color(colours.BOUNDARY[boundary.status]), _points3(boundary.line_ego_m)
+            entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=0.1, color=colour, points=points)
     return message.SerializeToString()
 
 
@@ -234,22 +233,26 @@ def _corners(box: Box) -> Float:
 def _points(
     message: ImageAnnotations, kind: Any, points: Float, colour: Colour, width: float, alpha: float = 1.0
 ) -> None:
-    entry = message.points.add(type=kind, outline_color=_color(colour, alpha), thickness=width)
-    entry.timestamp.CopyFrom(message.timestamp)
-    entry.points.extend(Point2(x=x, y=y) for x, y in points.tolist())
+    message.points.add(
+        timestamp=message.timestamp,
+        type=kind,
+        outline_color=_color(colour, alpha),
+        thickness=width,
+        points=[{"x": x, "y": y} for x, y in points.tolist()],
+    )
 
 
 def _text(message: ImageAnnotations, camera: Camera, position: Iterable[float], text: str, colour: Colour) -> None:
     x, y = position
     width, _ = viewer_text_size(camera, text)
-    entry = message.texts.add(
+    message.texts.add(
+        timestamp=message.timestamp,
         position=Point2(x=max(min(x, camera.width - width), 0.0), y=y),
         text=text,
         font_size=viewer_font_px(camera),
         text_color=_color(colour),
         background_color=_color((0, 0, 0), 0.6),
     )
-    entry.timestamp.CopyFrom(message.timestamp)
 
 
 @cache
@@ -259,5 +262,6 @@ def _color(colour: Colour, alpha: float = 1.0) -> Color:
     return Color(r=r, g=g, b=b, a=alpha)
 
 
-def _points3(points: Float) -> Iterator[Point3]:
-    return (Point3(x=x, y=y, z=z) for x, y, z in points.tolist())
+def _points3(points: Float) -> list[dict[str, float]]:
+    """Fields of point messages, which cost half of messages that are copied."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in points.tolist()]
