@@ -36,7 +36,7 @@ def largest_total(scores: Float) -> dict[int, int]:
 
 def _best_of_others(scores: Float) -> Float:
     """(M, N) largest other score of the same row, at least 0."""
-    second, first = np.sort(np.pad(scores, ((0, 0), (2, 0))), axis=1)[:, -2:, None].transpose(1, 0, 2)
+    second, first = np.sort(np.hstack((np.zeros((len(scores), 2)), scores)), axis=1)[:, -2:, None].transpose(1, 0, 2)
     others: Float = np.where(scores == first, second, first)
     return others
 

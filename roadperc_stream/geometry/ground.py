@@ -102,6 +102,7 @@ def height_above(surface: Surface, x: Float32, y: Float32, z: Float32) -> Float3
     return np.asarray(z - road, np.float32)
 
 
+@lru_cache(maxsize=8)
 def part(camera: Camera, rows: int, columns: int) -> Camera:
     """The camera of the image ``pixels[::rows, ::columns]``."""
     return replace(

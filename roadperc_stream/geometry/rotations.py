@@ -19,13 +19,14 @@ EGO_R_OPTICAL: Final[Float] = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0,
 Quaternion = tuple[float, float, float, float]
 _SMALL_ANGLE: Final = 1e-3
 """Radians up to which a series is more accurate than a quotient of two small numbers."""
-_ORTHOGONAL: Final = 1e-12 + 1e-5 * np.eye(3)
+_IDENTITY: Final[Float] = np.eye(4)
+_ORTHOGONAL: Final = 1e-12 + 1e-5 * _IDENTITY[:3, :3]
 """Deviation of R R^T from the identity up to which a matrix counts as a rotation."""
 
 
 def rigid(rotation: Float, translation: Float) -> Float:
     """(4, 4) transform from a (3, 3) rotation and a (3,) translation in metres."""
-    T = np.eye(4)
+    T = _IDENTITY.copy()
     T[:3, :3], T[:3, 3] = rotation, translation
     return T
 
@@ -129,7 +130,7 @@ def quaternion(rotation: Float) -> Quaternion:
 
     Source: Markley, "Unit Quaternion from Rotation Matrix", Journal of Guidance, Control, and Dynamics 31, 2008.
     """
-    if not (np.abs(rotation @ rotation.T - np.eye(3)) <= _ORTHOGONAL).all():
+    if not (np.abs(rotation @ rotation.T - _IDENTITY[:3, :3]) <= _ORTHOGONAL).all():
         U, _, Vt = np.linalg.svd(rotation)
         rotation = U @ Vt
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()

@@ -193,8 +193,8 @@ class Box:
 
     def rounded(self, width: int, height: int) -> tuple[int, int, int, int]:
         """x_min, y_min, x_max, y_max as whole pixels (rounded half up) clipped to the image."""
-        x0, y0, x1, y1 = (floor(side + 0.5) for side in (self.x_min, self.y_min, self.x_max, self.y_max))
-        return max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
+        x0, y0 = max(floor(self.x_min + 0.5), 0), max(floor(self.y_min + 0.5), 0)
+        return x0, y0, min(floor(self.x_max + 0.5), width), min(floor(self.y_max + 0.5), height)
 
     def meets(self, other: "Box") -> bool:
         """Whether the boxes have an area in common."""

@@ -162,8 +162,8 @@ def _serialised(message: Any, stamp_ns: int) -> bytes:
     return data
 
 
-def _detection(detection: Detection) -> pb.Detection:
-    return pb.Detection(**vars(detection) | {"box_px": pb.Box(**vars(detection.box_px))})
+def _detection(detection: Detection) -> Any:
+    return vars(detection) | {"box_px": vars(detection.box_px)}
 
 
 def _height_grid(grid: HeightGrid) -> pb.HeightGrid:
@@ -171,12 +171,11 @@ def _height_grid(grid: HeightGrid) -> pb.HeightGrid:
     return pb.HeightGrid(**vars(grid) | {"rows": rows, "columns": columns, "z_m": grid.z_m.ravel().tolist()})
 
 
-def _line(line: Iterable[float]) -> pb.Line:
-    x1, y1, x2, y2 = line
-    return pb.Line(x1=x1, y1=y1, x2=x2, y2=y2)
+def _line(line: Iterable[float]) -> Any:
+    return dict(zip(("x1", "y1", "x2", "y2"), line, strict=True))
 
 
-def _boundary(boundary: Boundary) -> pb.Boundary:
+def _boundary(boundary: Boundary) -> Any:
     """Fields have the same names in the message; ``converted`` are those of other types."""
     converted = {
         "side": pb.Boundary.Side.Value(boundary.side.upper()),
@@ -187,17 +186,17 @@ def _boundary(boundary: Boundary) -> pb.Boundary:
         "line_px": [{"x": x, "y": y} for x, y in boundary.line_px.tolist()],
         "reason": None if boundary.reason is None else pb.Reason(**boundary.reason.stored),
     }
-    return pb.Boundary(**vars(boundary) | converted)
+    return vars(boundary) | converted
 
 
-def _object(item: Object) -> pb.Object:
+def _object(item: Object) -> Any:
     """``depth`` is an empty source, as in logs before there was another one."""
     converted = {
         "detection": _detection(item.detection),
         "status": pb.Object.Status.Value(item.status.upper()),
         "distance_source": item.distance_source if item.distance_source != "depth" else "",
     }
-    return pb.Object(**vars(item) | converted)
+    return vars(item) | converted
 
 
 def _posed(pose: Any, transform: Float) -> Any:

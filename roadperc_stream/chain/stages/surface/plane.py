@@ -144,7 +144,7 @@ def road_plane(
     if count < 3:
         return Absent(Reason("surface", "too_few_road_points", (count,)))
     sample = points[rng.integers(0, count, min(_SUBSAMPLE, count))]
-    found = _ransac(cfg, sample, up, rng) if np.ptp(sample, axis=0).max() > _ONE_PLACE_M else None
+    found = _ransac(cfg, sample, up, rng) if np.ptp(sample.T.copy(), axis=1).max() > _ONE_PLACE_M else None
     if found is None:
         return Absent(Reason("surface", "no_plane", (count, _MIN_INLIERS)))
     refitted, search = found
