@@ -29,8 +29,6 @@ UNKNOWN: Final = -1
 FREE: Final = 0
 OCCUPIED: Final = 100
 
-_ROWS_AT_ONCE: Final = 64
-"""Rows per pass over a height field: their points stay in the processor's cache between operations."""
 _NEAREST_M: Final = 1e-6
 
 
@@ -72,15 +70,12 @@ def _points_in_cells(
     cells = Cells(cfg.x_min_m, -cfg.half_width_m, cfg.resolution_m, cfg.min_height_m, cfg.max_height_m)
     abd = np.array(surface.abd, np.float32)
     free, occupied = np.zeros(_shape(cfg), np.int64), np.zeros(_shape(cfg), np.int64)
-    rows_at_once = camera.height if surface.height_grid is None else _ROWS_AT_ONCE
-    for top in range(0, camera.height, rows_at_once):
-        rows = slice(top, top + rows_at_once)
-        heights = None
-        if surface.height_grid is not None:
-            heights = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[rows], top))
-        rays = ego_rays(camera, frame.ego_T_camera, top, len(depth_m[rows]))
-        pixels = KnownPixels(depth_m[rows], heights, marks[rows].view(np.uint8), tags[rows], obstacle_tags)
-        count_points(cells, pixels, rays, abd, free, occupied)
+    heights = None
+    if surface.height_grid is not None:
+        heights = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m))
+    rays = ego_rays(camera, frame.ego_T_camera, 0, camera.height)
+    pixels = KnownPixels(depth_m, heights, marks.view(np.uint8), tags, obstacle_tags)
+    count_points(cells, pixels, rays, abd, free, occupied)
     return free, occupied
 
 

@@ -36,8 +36,6 @@ _SUBSAMPLE: Final = 2048
 """Points on which planes are evaluated: this gives the share of inliers to 1 %."""
 _ENOUGH_POINTS: Final = 20_000
 """Points for the refit, at least; with more, the errors of single pixels average to far less than a millimetre."""
-ROWS_AT_ONCE: Final = 32
-"""Rows per pass: their distances stay in the processor's cache between operations."""
 Indices = NDArray[np.intp]
 _KEPT: Final = 32
 """Hypotheses that a picture of the search can show."""
@@ -102,12 +100,10 @@ def pixels_near(camera: Camera, depth_m: Float32, plane: Plane, within_m: float,
     top = first_row(among)
     near = _unmarked_above(camera, top)
     column, row = distance_per_depth(camera, plane)
-    for first in range(top, camera.height, ROWS_AT_ONCE):
-        rows = slice(first, first + ROWS_AT_ONCE)
-        distances_m = depth_m[rows] * (row[rows, None] + column)
-        distances_m += np.float32(plane.offset_m)
-        with np.errstate(invalid="ignore"):
-            np.less_equal(np.abs(distances_m, out=distances_m), np.float32(within_m), out=near[rows])
+    distances_m = depth_m[top:] * (row[top:, None] + column)
+    distances_m += np.float32(plane.offset_m)
+    with np.errstate(invalid="ignore"):
+        np.less_equal(np.abs(distances_m, out=distances_m), np.float32(within_m), out=near[top:])
     near[top:] &= among[top:]
     return near
 

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 
 from roadperc_stream.chain.stages.surface.plane import (
-    ROWS_AT_ONCE,
     first_row,
     leaves_plane,
     pixels_near,
@@ -130,12 +129,10 @@ def drivable_mask(cfg: SurfaceConfig, frame: Frame, surface: Surface | Absent) -
         return pixels_near(camera, depth_m, surface.plane, _DRIVABLE_M, among)
     top = max(first_row(among), _horizon_row(surface, camera, frame.ego_T_camera))
     mask = np.zeros(camera.size, bool)
-    for first in range(top, camera.height, ROWS_AT_ONCE):
-        rows = slice(first, min(first + ROWS_AT_ONCE, camera.height))
-        off_m = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[rows], first))
-        # Unknown depth is never drivable: a comparison with NaN is False, in OpenCV, too.
-        near = np.asarray(cv2.inRange(off_m, -_DRIVABLE_M, _DRIVABLE_M), np.uint8)
-        mask[rows] = near & among[rows].view(np.uint8)
+    off_m = height_above(surface, *ego_points(camera, frame.ego_T_camera, depth_m[top:], top))
+    # Unknown depth is never drivable: a comparison with NaN is False, in OpenCV, too.
+    near = np.asarray(cv2.inRange(off_m, -_DRIVABLE_M, _DRIVABLE_M), np.uint8)
+    mask[top:] = near & among[top:].view(np.uint8)
     return mask
 
 
