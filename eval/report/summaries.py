@@ -329,9 +329,9 @@ def _texts(
         for groups, found in zip(groupings, counted, strict=True):
             group = pl.Series(_GROUP, groups.of_frames[begin : begin + batch.height])
             known = batch.select(group, pl.col("missing").list.len() > 0, pl.col(list(numbers)).is_finite())
-            for place, incomplete, *counts in known.group_by(_GROUP).sum().iter_rows():
+            for place, incomplete, *known_values in known.group_by(_GROUP).sum().iter_rows():
                 found[place].incomplete += incomplete
-                found[place].counted.update(dict(zip(numbers, counts, strict=True)))
+                found[place].counted.update(dict(zip(numbers, known_values, strict=True)))
             for name in (*texts, "missing", "reasons"):
                 rows = pl.DataFrame([group, batch[name].alias("text")])
                 if rows.schema["text"].base_type() is pl.List:
