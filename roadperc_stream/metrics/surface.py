@@ -8,6 +8,7 @@ from roadperc_stream.errors import DecodeError
 from roadperc_stream.geometry import angle_between
 from roadperc_stream.geometry.ground import ego_points, height_above, height_at
 from roadperc_stream.model import Absent, FrameResult, Mask, Sample, Surface
+from roadperc_stream.model.frame import mark
 from roadperc_stream.schemas.columns.errors import SurfaceErrorColumns
 from roadperc_stream.schemas.columns.estimates import SurfaceColumns
 
@@ -82,8 +83,8 @@ def _true_drivable(cfg: ReplayConfig, sample: Sample) -> Mask | None:
         return None
     if tags.shape != frame.camera.size or depth_m.shape != frame.camera.size:
         return None
-    drivable = truth.segmentation.table.lookup(cfg.surface.classes)[tags] > 0
-    first = int(drivable.any(axis=1).argmax())
+    drivable = mark(tags, truth.segmentation.table.lookup(cfg.surface.classes)).view(bool)
+    first = int(drivable.argmax()) // drivable.shape[1]
     x, y, z = ego_points(frame.camera, frame.ego_T_camera, depth_m[first:], first)
     drivable[first:] &= np.abs(height_above(truth.surface, x, y, z)) < TRUE_ROAD_M  # unknown depth compares as False
     return drivable
