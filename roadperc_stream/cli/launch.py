@@ -47,6 +47,8 @@ EXIT_DONE, EXIT_ERROR = 0, 1
 EXIT_UNDECIDED = 3
 """Of an error in a command whose exit code 1 is a result."""
 CONTRACT = "info --contract"
+_NEW_OBJECTS = 20_000
+"""New objects before a collection of cycles. Frames leave hardly any; the default, 700, takes a hundredth of their time."""
 _JUDGING = ("bisect", "check", "compare", CONTRACT)
 """Commands whose exit code 1 is a result."""
 
@@ -64,6 +66,7 @@ def run(command: Callable[[], int | None], name: str = "") -> int:
     exit code 1. Output without a reader, as after ``head``, is no error.
     """
     gc.freeze()
+    gc.set_threshold(_NEW_OBJECTS)
     gc.enable()
     warnings.showwarning = _print_warning
     code = EXIT_DONE
