@@ -170,8 +170,7 @@ def observe(cfg: LanesConfig, projection: RoadProjection, tags: Image, table: Ta
     step, lookup = lines.pixel_step(cfg, height), table.lookup(cfg.separators)
     edge_pixels = lines.edges_of(cfg, mark(tags[::step, ::step], lookup))
     proposals = lines.propose(cfg, edge_pixels, lines.visible_share(far, bottom, height), step)
-    on_road = lines.on_road(proposals, drivable[::step, ::step])
-    groups = lines.merge(on_road * step, height)
+    groups = lines.merge(lines.on_road(proposals * step, drivable), height)
     edges = _edges(projection, mark(tags[far::step], lookup), drivable, far, step) if cfg.model == "curve" else {}
     ends = float(far), float(bottom)
     found = Observation(projection, tags, table, *ends, edge_pixels > 0, proposals * step, groups, edges)

@@ -89,8 +89,10 @@ def points_of(camera: Camera, depth_m: Float32, rows: Indices, columns: Indices)
 
 def road_points(camera: Camera, depth_m: Float32, usable: Mask) -> Float:
     """(N, 3) points in the camera frame of an evenly spaced part of a mask's pixels; of few pixels, all."""
-    step = max(math.isqrt(number_of(usable) // _ENOUGH_POINTS), 1)
-    top = first_row(usable)
+    count, top = number_of(usable), first_row(usable)
+    step = max(math.isqrt(count // _ENOUGH_POINTS), 1)
+    while number_of(usable[top::step, ::step]) * step**2 < count / 2:  # regular holes in the depth are in step
+        step -= 1
     rows, columns = np.nonzero(usable[top::step, ::step])
     return points_of(camera, depth_m, top + rows * step, columns * step)
 

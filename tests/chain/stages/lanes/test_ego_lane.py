@@ -21,10 +21,10 @@ CFG = LanesConfig()
 ROAD_CLASSES = ("road", "road_line")
 
 
-def look(road, tags=None, state=None, index=0, cfg=CFG, motion=None):
+def look(road, tags=None, state=None, index=0, cfg=CFG, motion=None, seen=True):
     tags = road.tags() if tags is None else tags
     surface = assumed_surface(road.camera, road.ego_T_camera)
-    drivable = TABLE.lookup(ROAD_CLASSES)[tags].view(bool)
+    drivable = TABLE.lookup(ROAD_CLASSES)[tags].view(bool) & seen
     scene = scene_of(road.camera, road.ego_T_camera, tags=tags, stamp_ns=1_000_000_000 + index * STEP_NS)
     return step(cfg, state or LanesState(), scene, surface, drivable, motion)
 
@@ -42,6 +42,15 @@ def test_a_lane_is_found_at_its_true_position(left_m, right_m, heading, curvatur
     for boundary, offset_m in zip(lanes.boundaries, (left_m, right_m), strict=True):
         assert boundary.status == "measured"
         assert y_at(boundary, 10.0) == pytest.approx(road.lateral(offset_m, 10.0), abs=0.03)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_lane_is_found_on_a_road_with_regular_holes(first):
+    """Depth that is projected into a larger image is known in every second row and column only."""
+    road, seen = Road(width=1280, height=960), np.zeros((960, 1280), bool)
+    seen[first::2, first::2] = True
+    _, lanes = look(road, seen=seen)
+    assert [boundary.status for boundary in lanes.boundaries] == ["measured", "measured"]
 
 
 def test_bend_is_tracked_to_30_metres():

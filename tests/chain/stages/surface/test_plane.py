@@ -107,6 +107,16 @@ def test_a_plane_above_the_camera_is_not_a_road():
     assert found.reason.values[0] > 170
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_depth_with_regular_holes_gives_the_plane(first):
+    """Depth that is projected into a wider image is known in every second column only."""
+    road = Road(width=960, height=720)
+    depth = np.full((720, 960), np.nan, np.float32)
+    depth[:, first::2] = road.depth_m()[:, first::2]
+    surface = fit(road, depth, road.tags() == ROAD)
+    assert surface.camera_height_m == pytest.approx(1.4, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("mask", "depth", "count"),
     [
