@@ -95,7 +95,7 @@ bench-compare: $(VENV)/.installed  # compares the speed with a commit: make benc
 	@test -n "$(BASE)" || { echo "make bench-compare BASE=<commit>"; exit 2; }
 	$(BIN)/python -m roadperc_stream.tools.bench.compare $(BENCH) $(BASE) $(BENCH_OPTIONS)
 
-bench-report: $(VENV)/.installed  # speed of reports: writes 5 GB, needs 8 GB of memory
+bench-report: $(VENV)/.installed  # speed of reports: writes 6 GB, needs 10 GB of memory
 	$(BIN)/python -m roadperc_stream.tools.bench.report logs/runs/bench-report
 
 ENGINE ?= docker

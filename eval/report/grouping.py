@@ -37,12 +37,12 @@ def grouped_frames(frames: Frames, by: Sequence[str]) -> Groups:
     keys = [key_name(text) for text in by]
     if frames.keys.width:
         rows = frames.keys.hstack(run_keys[frames.run]) if run_keys.width else frames.keys
-        of_frames, distinct = numbered([rows.select(keys)])
+        of_frames, distinct = numbered(rows.select(keys))
         of_run = np.zeros(frames.runs.height, np.int64)
         of_run[frames.run] = of_frames
         whole = bool((of_run[frames.run] == of_frames).all())
     else:
-        of_run, distinct = numbered([run_keys.select(keys)])
+        of_run, distinct = numbered(run_keys.select(keys))
         of_frames, whole = of_run[frames.run], True
     if not whole:
         require_few(distinct.height, by)

@@ -221,24 +221,15 @@ def load(source: FrameSource, by: Sequence[str] = ()) -> Frames:
     require_roots(of_rows, {*schema} - {RUN, FILE}, (*source.facts.columns, *columns_of(ObjectMetrics)), source.title)
     files = [FILE] if source.many else []
     identity = [*dict.fromkeys((*source.keys, "log_id", "config")), *files]
-    others: list[pl.DataFrame] = []
-
-    def identities() -> Iterator[pl.DataFrame]:
-        """The identity in batches, because the texts of all rows would take half a gigabyte."""
-        for batch in source.batches(*identity, "frame", SEGMENT, "stamp_ns", *(as_key(t, schema) for t in of_rows)):
-            if source.many:
-                require_named(batch)
-            others.append(batch.drop(identity))
-            yield batch.select(identity)
-        if not others:
-            raise TableError("no log to report: other logs have replaced all files, and these have no tables")
-
-    piece, pieces = numbered(identities())
-    rows = pl.concat(others, rechunk=True)
-    others.clear()
-    run_of_piece, runs = numbered([pieces.select(source.keys)])
+    rows = source.collect(*identity, "frame", SEGMENT, "stamp_ns", *(as_key(text, schema) for text in of_rows))
+    if rows.is_empty():
+        raise TableError("no log to report: other logs have replaced all files, and these have no tables")
+    if source.many:
+        require_named(rows)
+    piece, pieces = numbered(rows.select(identity))
+    run_of_piece, runs = numbered(pieces.select(source.keys))
     run = run_of_piece[piece]
-    segment, segments = numbered(pl.DataFrame({RUN: run, SEGMENT: rows[SEGMENT]}).iter_slices(_ROWS))
+    segment, segments = numbered(pl.DataFrame({RUN: run, SEGMENT: rows[SEGMENT]}))
     of_segment = rows.select("frame", "stamp_ns", pl.Series(SEGMENT, segment))
     segments = segments.hstack(_extents(of_segment)).with_columns(start_ns=_start_ns())
     return Frames(
@@ -259,25 +250,19 @@ def of_runs(source: FrameSource, expression: str) -> bool:
     return {*source.facts.columns} >= {*roots(expression)}
 
 
-def numbered(batches: Iterable[pl.DataFrame]) -> tuple[Numbers, pl.DataFrame]:
+def numbered(rows: pl.DataFrame) -> tuple[Numbers, pl.DataFrame]:
     """The number of each row's values, (N,), and the distinct rows in the order of their numbers.
 
     Equal rows mostly follow each other, so that only the first of each series is looked at.
     """
-    changes, firsts = [], []
-    for rows in batches:
-        changed = rows.select(pl.any_horizontal(pl.all().ne_missing(pl.all().shift()))).to_series().to_numpy()
-        changed[:1] = True
-        changes.append(changed)
-        firsts.append(rows.filter(changed).with_columns(pl.col(pl.String) + ""))  # frees the texts of other rows
-    first = pl.concat(firsts)
+    names = rows.columns
+    changed = rows.select(pl.any_horizontal(pl.col(name).ne_missing(pl.col(name).shift()) for name in names))
+    series = changed.to_series().to_numpy()
+    series[:1] = True
+    first = rows.filter(pl.Series(series))
     distinct = first.unique(maintain_order=True)
-    numbers = first.join(
-        distinct.with_row_index(), on=distinct.columns, how="left", maintain_order="left", nulls_equal=True
-    )
-    series = np.concatenate(changes)
-    lengths = np.diff(np.flatnonzero(series), append=len(series))
-    return np.repeat(numbers["index"].to_numpy().astype(np.int64), lengths), distinct
+    numbers = first.join(distinct.with_row_index(), on=names, how="left", maintain_order="left", nulls_equal=True)
+    return numbers["index"].to_numpy().astype(np.int64)[np.cumsum(series) - 1], distinct
 
 
 def _start_ns() -> pl.Expr:
@@ -289,8 +274,7 @@ def _extents(rows: pl.DataFrame) -> pl.DataFrame:
     """Frames, first and last stamp and frame, and the longest gap of each segment."""
     stamps = pl.col("stamp_ns")
     found = (
-        rows.lazy()
-        .with_columns(difference(stamps).alias("gap_ns"))
+        rows.with_columns(difference(stamps).alias("gap_ns"))
         .group_by(SEGMENT, maintain_order=True)
         .agg(
             pl.len().alias("frames"),
@@ -301,7 +285,7 @@ def _extents(rows: pl.DataFrame) -> pl.DataFrame:
             pl.max("gap_ns"),
         )
     )
-    return found.collect(engine="streaming").drop(SEGMENT)
+    return found.drop(SEGMENT)
 
 
 def _facts(source: FrameSource, runs: pl.DataFrame, pieces: pl.DataFrame, segments: pl.DataFrame) -> pl.DataFrame:

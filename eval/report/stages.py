@@ -73,9 +73,11 @@ TRUE_POSES: Final = "turn_error_deg"
 COLUMNS: Final = Columns(
     frozenset((*(of.error for of in _STAGES.values()), _HEIGHT, TRUE_POSES, TOTAL.column)),
     counted=(*COVERED.values(), "step_m"),
-    instead={column: of.error for of in _STAGES.values() for column in (*of.errors[1:], of.quality, of.telling)},
+    instead={
+        column: of.error for of in _STAGES.values() for column in (*of.errors[1:], of.quality, of.telling) if column
+    },
 )
-"""The numeric columns of the short report; hindsight and quality replace errors against truth."""
+"""The numeric columns of the short report: errors by hindsight and quality only of stages without errors by truth."""
 NO_SCALE: Final = "without metric scale"
 _ASSUMED: Final = "the assumed height"
 _NARROW: Final = {

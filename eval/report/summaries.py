@@ -31,8 +31,8 @@ from .statistics import Statistics, statistics
 class Columns:
     """The numeric columns to summarise.
 
-    ``summarised`` have statistics, and of ``counted`` only the frames with a value are counted. A key of ``instead`` is
-    summarised, too, if the column that is its value has no value in any frame.
+    ``summarised`` have statistics, and of ``counted`` only the frames with a value are counted. ``instead`` maps a
+    column to another one: it is summarised, too, if the other one has no value in any frame.
     """
 
     summarised: Collection[str]
@@ -218,7 +218,7 @@ def summarise(
             list(threads.map(add, of_names, of_names.values()))
     by_run = _by_run(frames) if whole else {}
     totals = frames.beside(COUNTS) if whole else None
-    texts = _texts(frames, groupings, _TEXTS if whole else _STATES, columns.counted)
+    texts = _counts(frames, groupings, _TEXTS if whole else _STATES, columns.counted)
     return [
         [
             replace(
@@ -318,20 +318,20 @@ def _totals(counts: pl.DataFrame | None, at: Numbers) -> dict[str, int]:
     return {name: int(total) for name, total in sums.row(0, named=True).items() if total is not None}
 
 
-def _texts(
-    frames: Frames, groupings: Sequence[Groups], texts: Mapping[str, pl.Expr], numbers: Sequence[str]
+def _counts(
+    frames: Frames, groupings: Sequence[Groups], texts: Mapping[str, pl.Expr], counted: Sequence[str]
 ) -> list[list[dict[str, Any]]]:
     """The counts of texts, missing messages, reasons and known numbers in each group of each grouping."""
-    counted = [[_Texts() for _ in groups.names] for groups in groupings]
+    result = [[_Counts() for _ in groups.names] for groups in groupings]
     columns = [text.alias(name) for name, text in texts.items()]
     begin = 0
-    for batch in frames.source.batches(*columns, "missing", "reasons", *numbers):
-        for groups, found in zip(groupings, counted, strict=True):
+    for batch in frames.source.batches(*columns, "missing", "reasons", *counted):
+        for groups, found in zip(groupings, result, strict=True):
             group = pl.Series(_GROUP, groups.of_frames[begin : begin + batch.height])
-            known = batch.select(group, pl.col("missing").list.len() > 0, pl.col(list(numbers)).is_finite())
+            known = batch.select(group, pl.col("missing").list.len() > 0, pl.col(list(counted)).is_finite())
             for place, incomplete, *known_values in known.group_by(_GROUP).sum().iter_rows():
                 found[place].incomplete += incomplete
-                found[place].counted.update(dict(zip(numbers, known_values, strict=True)))
+                found[place].counted.update(dict(zip(counted, known_values, strict=True)))
             for name in (*texts, "missing", "reasons"):
                 rows = pl.DataFrame([group, batch[name].alias("text")])
                 if rows.schema["text"].base_type() is pl.List:
@@ -344,11 +344,11 @@ def _texts(
                 ):
                     found[place].add(name, list(part.select("text", "len").iter_rows()))
         begin += batch.height
-    return [[vars(item) for item in found] for found in counted]
+    return [[vars(item) for item in found] for found in result]
 
 
 @dataclass
-class _Texts:
+class _Counts:
     """The counts of a group, as in ``Summary``."""
 
     categories: dict[str, Counter[str]] = field(default_factory=lambda: {name: Counter() for name in _TEXTS})

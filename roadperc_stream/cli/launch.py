@@ -48,7 +48,7 @@ EXIT_UNDECIDED = 3
 """Of an error in a command whose exit code 1 is a result."""
 CONTRACT = "info --contract"
 _NEW_OBJECTS = 20_000
-"""New objects before a collection of cycles. Frames leave hardly any; the default, 700, takes 1 % of their time."""
+"""New objects before a search for cycles. Frames leave hardly any; the default, 700, takes 1 % of their time."""
 _JUDGING = ("bisect", "check", "compare", CONTRACT)
 """Commands whose exit code 1 is a result."""
 

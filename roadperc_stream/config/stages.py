@@ -130,7 +130,8 @@ class LanesConfig(StageSection):
     separators: Classes = ("road_line", "sidewalk", "rail_track", "guard_rail")
     """Classes whose borders with the road are the edges of a lane."""
     median_px: Annotated[int, Field(ge=0, le=99)] = 5
-    """Size of the median filter on the separators; 0: no filter."""
+    """Size of the median filter on the separators; 0: no filter. If it has 5 or more pixels in the image, edges are
+    searched in every second row and column."""
     canny_low: Annotated[Positive, unit("grey levels")] = 100.0
     """Lower threshold of Canny's detector: continues an edge."""
     canny_high: Annotated[Positive, unit("grey levels")] = 150.0

@@ -190,7 +190,7 @@ def _boundary(boundary: Boundary) -> Any:
 
 
 def _object(item: Object) -> Any:
-    """``depth`` is an empty source, as in logs before there was another one."""
+    """Fields of the message; ``depth`` is an empty source, as in logs before there was another one."""
     converted = {
         "detection": _detection(item.detection),
         "status": pb.Object.Status.Value(item.status.upper()),

@@ -27,7 +27,7 @@ from roadperc_stream.system.files import TABLE_SUFFIX, partial_of, remove_stale_
 
 ROW_GROUP_ROWS: Final = 5000
 _OBJECT_ROWS: Final = 1000
-"""Most rows that a writer keeps as Python's objects, which need ten times the memory of Arrow's."""
+"""Rows after which Python's objects become an Arrow table, which needs a tenth of their memory."""
 FACT_PREFIX: Final = "roadperc."
 """Prefix of this project's keys in the footer of a table."""
 _ARROW_TYPES: Final[Mapping[Any, pa.DataType]] = {
@@ -295,7 +295,7 @@ class TableWriter:
             self._flush(ROW_GROUP_ROWS)
 
     def _flush(self, least: int = 1) -> None:
-        """Write the rows if there are at least as many."""
+        """Convert the rows to a table; write all tables if they have at least so many rows."""
         self._tables.append(pa.Table.from_pylist(self._rows, schema=self._schema))
         self._rows.clear()
         rows = pa.concat_tables(self._tables)

@@ -18,6 +18,8 @@ import roadperc_stream as rp
 from roadperc_stream import log
 from roadperc_stream.chain.encoding import decode, encode
 from roadperc_stream.chain.protocols import LanesStage
+from roadperc_stream.chain.stages.lanes import ego_lane
+from roadperc_stream.chain.stages.lanes.tracking import LanesState
 from roadperc_stream.chain.step import State
 from roadperc_stream.cli.batch import main as batch_main
 from roadperc_stream.cli.replay import main as replay_main
@@ -30,6 +32,7 @@ from roadperc_stream.geometry import Plane
 from roadperc_stream.model import Absent, Boundary, Lanes, Object, Objects, Odometry, Reason, StereoDepth, Surface
 from roadperc_stream.output.tables import config_digest, read_footer
 from tests import commands
+from tests.analytic import Road
 from tests.test_api import CAMERA, STEP_NS, road
 from tests.test_sample import SAMPLE
 
@@ -465,3 +468,19 @@ def test_batches_and_sweeps_run_own_stages(folder):
         pl.read_parquet(path)["lane_left_offset_m"].to_list() for path in sorted(folder.rglob("sweep/0*/*.parquet"))
     ]
     assert found[1] == [1.0, 2.0] != found[0]
+
+
+class BuiltIn:
+    State = LanesState
+
+    def __call__(self, *inputs):
+        return ego_lane.step(*inputs)
+
+
+@pytest.mark.parametrize("rows", [480, 960])
+def test_an_own_stage_may_return_what_the_built_in_one_returns(rows):
+    """Of large images the edges have half the size."""
+    scene = Road(width=rows * 4 // 3, height=rows)
+    chain = rp.Chain(scene.camera, ego_T_camera=scene.ego_T_camera, stages={"lanes": BuiltIn}, tag_table="0.9.13")
+    result = chain.step(STEP_NS, depth_m=scene.depth_m(), tags=scene.tags())
+    assert result.lanes.edges.any()

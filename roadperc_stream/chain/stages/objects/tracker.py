@@ -110,12 +110,14 @@ def step(
     kept = _kept(cfg, frame, own)
     pairs = largest_total(similarities(cfg, known, kept.items, kept.boxes, kept.seen))
     tracks_of = _detected(cfg, state.next_number, frame, known, kept, pairs)
-    edges = extents(frame, path, [own[k] for k in tracks_of])
-    if contacts:
-        edges = [contact.extent(frame, path, own[k], contacts[k]) if k in contacts else None for k in tracks_of]
+    edges = (
+        [contact.extent(frame, path, own[k], contacts[k]) if k in contacts else None for k in tracks_of]
+        if contacts
+        else extents(frame, path, [own[k] for k in tracks_of])
+    )
     detected = {
-        k: _placed(cfg, frame, track, of_track, contacts.get(k), seen)
-        for (k, track), of_track, seen in zip(tracks_of.items(), edges, kept.seen, strict=True)
+        k: _placed(cfg, frame, track, edge, contacts.get(k), seen)
+        for (k, track), edge, seen in zip(tracks_of.items(), edges, kept.seen, strict=True)
     }
     missed = [object_track.aimed(track, frame.camera) for k, track in enumerate(known) if k not in pairs]
     searched = _searched(cfg, frame, path, missed, kept)

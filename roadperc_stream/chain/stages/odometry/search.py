@@ -24,8 +24,8 @@ from roadperc_stream.model import Absent, Reason
 _ASTRAY_PX = 20.0
 """Largest distance, at 960 rows, from the pixel that steady motion predicts; farther matches are wrong."""
 MIN_VISIBLE_SHARE: Final = 0.2
-"""Minimum share of the visible points with depth that agree on a steady motion; twice that for an unexpected one. Noise
-hides most points of a smooth road."""
+"""Minimum share of the visible points with depth that agree on a steady motion by matches. A motion by aligned
+patches, or an unexpected one, needs twice that. Noise hides most points of a smooth road."""
 _NEAR_PX: Final = 0.6
 """Median distance, at 960 rows, of aligned features from their predicted pixels, above which the nearest points are
 too far off to be aligned. Without them distant points agree with any speed."""

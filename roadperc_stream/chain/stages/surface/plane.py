@@ -36,7 +36,6 @@ _SUBSAMPLE: Final = 2048
 """Points on which planes are evaluated: this gives the share of inliers to 1 %."""
 _ENOUGH_POINTS: Final = 20_000
 """Points for the refit, at least; with more, the errors of single pixels average to far less than a millimetre."""
-Indices = NDArray[np.intp]
 _KEPT: Final = 32
 """Hypotheses that a picture of the search can show."""
 _ENOUGH_INLIERS: Final = 0.95
@@ -60,6 +59,7 @@ _FINEST_M: Final = 0.0005
 """Height up to which a patch never leaves the plane."""
 _SHARE: Final = 0.2
 """Minimum share of patches that leave the plane."""
+Indices = NDArray[np.intp]
 
 
 def usable_pixels(cfg: SurfaceConfig, camera: Camera, depth_m: Float32, drivable: Mask | None) -> Mask:

@@ -5,13 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from roadperc_stream.chain.stages.surface.plane import (
-    first_row,
-    leaves_plane,
-    pixels_near,
-    road_plane,
-    usable_pixels,
-)
+from roadperc_stream.chain.stages.surface.plane import first_row, leaves_plane, pixels_near, road_plane, usable_pixels
 from roadperc_stream.chain.stages.surface.spline import fit_height_grid, road_cells
 from roadperc_stream.config import SurfaceConfig
 from roadperc_stream.geometry import Camera, Float, inverse, project, rigid, transform

@@ -103,3 +103,14 @@ def test_rows_are_counted_once_and_only_beside_the_line():
     """Of six edges two are in one row, one is far inside, and one unknown or beyond the reach."""
     inside_m, rows = np.array([0.1, 0.2, -0.1, 0.9, np.nan, 0.1]), np.array([3, 3, 4, 5, 6, 7])
     assert [curves._rows_near(inside_m, rows, line_m, 0.3) for line_m in (0.0, 1.0, 2.0)] == [3, 1, 0]
+
+
+@pytest.mark.parametrize(("side", "sign"), [("left", 1.0), ("right", -1.0)])
+@pytest.mark.parametrize(("reach_m", "rows_on_it"), [(4.5, 2), (5.0, 3), (0.5, 0)])
+def test_only_rows_beside_the_curve_and_within_its_reach_support_it(side, sign, reach_m, rows_on_it):
+    """Of six edges two are in one row, one is far inside, and one unknown; the last is at 5 m."""
+    x, inside_m = np.array([1.0, 1.0, 2.0, 3.0, 4.0, 5.0]), np.array([0.1, 0.2, -0.1, 0.9, np.nan, 0.1])
+    state = sign * np.array([1.7, 0.02, 1 / 150])
+    edges = curves.Edges(x, curves.lateral(state, x) - sign * inside_m, np.array([3, 3, 4, 5, 6, 7]))
+    found, _ = curves._support(curves.Curve(state, np.eye(3), reach_m), edges, np.full(6, 0.1), side)
+    assert found == (rows_on_it / max(rows_on_it, 1))

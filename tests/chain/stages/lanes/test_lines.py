@@ -58,6 +58,26 @@ def test_near_horizontal_lines_and_lines_off_the_road_are_dropped():
     np.testing.assert_array_equal(kept, proposals[[1, 3]])
 
 
+@pytest.mark.parametrize("size", [(60, 80), (960, 1280)])
+def test_lines_are_on_the_road_if_most_of_their_pixels_are(size):
+    """Decided on some pixels of each line, for roads of random stripes; lines on and off by halves are left out."""
+    rng, (height, width) = np.random.default_rng(0), size
+    road = np.repeat(rng.random(20) < 0.5, height // 20)[:, None] & np.ones(width, bool)
+    ends = rng.integers(0, (width, height, width, height), (200, 4)).astype(float)
+    margin = max(round(height / 960 * lines._ROAD_MARGIN_PX), 1)
+    widened = cv2.dilate(road.view(np.uint8), np.ones((2 * margin + 1, 2 * margin + 1), np.uint8))
+    kept = {tuple(line) for line in lines.on_road(ends, road).tolist()}
+    decided = 0
+    for x1, y1, x2, y2 in ends.tolist():
+        count = int(max(abs(x2 - x1), abs(y2 - y1))) + 1
+        rows, columns = (np.rint(np.linspace(*ends, count)).astype(int) for ends in ((y1, y2), (x1, x2)))
+        share = widened[rows, columns].mean()
+        if abs(y2 - y1) >= lines._MIN_SLOPE * abs(x2 - x1) and abs(share - 0.5) > 0.1:
+            decided += 1
+            assert ((x1, y1, x2, y2) in kept) == (share > 0.5)
+    assert decided > 50
+
+
 def test_a_vertical_line_is_a_line_and_a_single_pixel_is_not():
     proposals = np.array([[500.0, 700, 500, 700], [500.0, 900, 500, 600]])
     kept = lines.on_road(proposals, np.ones((960, 1280), bool))
