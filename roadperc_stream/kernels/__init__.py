@@ -18,17 +18,8 @@ try:
         from roadperc_stream.kernels.objects_compiled import divided
         from roadperc_stream.kernels.occupancy_compiled import count_points
         from roadperc_stream.kernels.odometry_compiled import align_patches
-        from roadperc_stream.kernels.stereo_compiled import (
-            disparity_errors,
-            doubled,
-            refined_disparities,
-            seen_by_both,
-        )
-        from roadperc_stream.kernels.surface_compiled import (
-            median_places,
-            normal_equations,
-            solve_band,
-        )
+        from roadperc_stream.kernels.stereo_compiled import disparity_errors, doubled, refined_disparities, seen_by_both
+        from roadperc_stream.kernels.surface_compiled import median_places, normal_equations, solve_band
     COMPILED = True
 except ImportError:
     from roadperc_stream.kernels.lanes_plain import follow
@@ -36,10 +27,6 @@ except ImportError:
     from roadperc_stream.kernels.occupancy_plain import count_points
     from roadperc_stream.kernels.odometry_plain import align_patches
     from roadperc_stream.kernels.stereo_plain import disparity_errors, doubled, refined_disparities, seen_by_both
-    from roadperc_stream.kernels.surface_plain import (
-        median_places,
-        normal_equations,
-        solve_band,
-    )
+    from roadperc_stream.kernels.surface_plain import median_places, normal_equations, solve_band
 
     COMPILED = False

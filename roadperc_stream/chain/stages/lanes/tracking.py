@@ -309,7 +309,7 @@ def lateral_at(track: BoundaryTrack, x_m: Float) -> Float:
 def std_at(track: BoundaryTrack, x_m: float) -> float:
     """Standard deviation of the lateral position ``x_m`` ahead, metres."""
     design = np.array([1.0, 0.0, x_m, x_m**2 / 2, x_m**3 / 6])
-    return math.sqrt(design @ track.covariance @ design)
+    return math.sqrt(max(design @ track.covariance @ design, 0.0))  # rounding may make it negative
 
 
 def expired(cfg: LanesConfig, track: BoundaryTrack) -> bool:

@@ -5,7 +5,7 @@ With a mosaic, each step over pixels is one call for all boxes. This is faster, 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import cv2
 import numpy as np
@@ -36,6 +36,8 @@ the limit."""
 Indices = NDArray[np.int64]
 Pixels = tuple[slice, slice]
 """Rows and columns of an image."""
+_OF_PIXELS: Final = ("inside", "tags", "of_class", "log_depth", "distances_m", "beyond", "noise", "ids")
+"""Fields of (H, W) pixels."""
 T = TypeVar("T", bound=np.generic)
 
 
@@ -46,9 +48,10 @@ class Mosaic:
     ``first_px`` (N, 2) are column and row of each cutout's first pixel in the image. ``steps`` (N, 2) are its sampling
     steps in columns and rows, ``tops`` (N + 1,) its first row in the mosaic. ``inside`` is 1 at pixels of the cutouts,
     ``of_class`` at those of the box's classes. ``tags`` are None without tags. ``log_depth`` is the logarithm of the
-    smoothed depth in metres. ``distances_m`` is the smoothed distance from the camera, 0 unknown or ``beyond`` the
-    depth's range. ``noise`` is the absolute difference of the logarithm before and after smoothing. These four are None
-    without dense depth, and ``beyond`` if no pixel is. ``ids`` are instance masks or None.
+    smoothed depth in metres. ``distances_m`` is the smoothed distance from the camera, 0 where it is unknown or
+    beyond the depth's range. ``beyond`` marks the latter, and is None if there are none. ``noise`` is the absolute
+    difference of the logarithm before and after smoothing. These four are None without dense depth. ``ids`` are
+    instance masks or None.
     """
 
     first_px: Indices
@@ -163,15 +166,9 @@ def part_of(mosaic: Mosaic, chosen: Sequence[int]) -> Mosaic:
     """The mosaic of some of the N boxes, by ascending position."""
     heights = np.diff(mosaic.tops)
     rows = np.concatenate([np.arange(*mosaic.tops[k : k + 2]) for k in chosen])
-
-    def part(pixels: NDArray[T] | None) -> NDArray[T] | None:
-        return None if pixels is None else pixels.take(rows, axis=0)
-
-    first_px, steps, tops = mosaic.first_px[chosen], mosaic.steps[chosen], np.append(0, np.cumsum(heights[chosen]))
-    inside, tags, of_class = mosaic.inside.take(rows, axis=0), part(mosaic.tags), mosaic.of_class.take(rows, axis=0)
-    log_depth, distances, beyond = part(mosaic.log_depth), part(mosaic.distances_m), part(mosaic.beyond)
-    of_pixels = log_depth, distances, beyond, part(mosaic.noise), part(mosaic.ids)
-    return Mosaic(first_px, steps, tops, inside, tags, of_class, *of_pixels)
+    pixels = {name: values.take(rows, axis=0) for name in _OF_PIXELS if (values := getattr(mosaic, name)) is not None}
+    tops = np.append(0, np.cumsum(heights[chosen]))
+    return changed(mosaic, first_px=mosaic.first_px[chosen], steps=mosaic.steps[chosen], tops=tops, **pixels)
 
 
 def _around(camera: Camera, box: Box) -> Pixels:
