@@ -218,12 +218,12 @@ def summarise(
             list(threads.map(add, of_names, of_names.values()))
     by_run = _by_run(frames) if whole else {}
     totals = frames.beside(COUNTS) if whole else None
-    texts = _counts(frames, groupings, _TEXTS if whole else _STATES, columns.counted)
+    counts = _counts(frames, groupings, _TEXTS if whole else _STATES, columns.counted)
     return [
         [
             replace(
                 _of_runs(frames, groups, number, by_run),
-                **texts[k][number],
+                **counts[k][number],
                 totals=_totals(totals, groups.frames[number]),
                 statistics=statistics_by[k][number],
                 worst=worst_by[k][number],

@@ -147,7 +147,7 @@ def test_lines_have_their_places_at_both_pixel_steps():
         edges = lines.edges_of(cfg, np.ascontiguousarray(stripe[::step, ::step]))
         (*_, group) = lines.merge(lines.propose(cfg, edges, step=step) * step, 960)
         assert group.slope == pytest.approx(-1.5, abs=0.05)
-        assert group.x(725.0) == pytest.approx(450.0, abs=8.0)
+        assert group.x(725.0) == pytest.approx(450.0, abs=3.0)
 
 
 def test_facing_edges_look_towards_the_ego_lane():
